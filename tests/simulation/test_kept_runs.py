@@ -75,6 +75,21 @@ def test_a_run_that_is_led_takes_fewer_sweeps():
     np.testing.assert_allclose(q, exact, atol=1e-8)
 
 
+def test_a_turning_base_is_led_as_closely_as_the_joints():
+    """Its turns in a step depend on themselves; they are found before the first iteration, not by the first ones."""
+    scene, rng = chain([pin.JointModelFreeFlyer(), *(pin.JointModelRY() for _ in range(4))])
+    scene.v0 = rng.uniform(-2, 2, scene.nv)
+    compiled, chosen = compile_scene(scene), options(order=16)
+    coarser = made(compiled, chosen, level=1e-6)
+    led = made(compiled, chosen, coarser=coarser, part=0.8)
+    steps = led.nodes - 1
+    alone = cvi.simulate(compiled.scene(), duration=SPAN, dt=SPAN / steps, order=16, tol=chosen.stage_tol)
+    assert led.sweeps < 0.6 * alone.stats.sweeps
+    t, q, _ = record_of(led, compiled, chosen).nodes()
+    exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, tol=1e-14).at(t).q
+    assert compiled.states.distance(q, exact).max() <= 1e-8
+
+
 def test_a_run_that_leads_astray_costs_sweeps_and_nothing_else():
     """Here the run before it is one of another start."""
     compiled, chosen = flying_box(), options(order=16)
