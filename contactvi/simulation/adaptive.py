@@ -50,7 +50,8 @@ Array = NDArray[np.float64]
 
 _SAME = 2  # runs of each call with equal options that have the same settings
 _RUNS = 6  # at most, besides the first companion
-_START = 0.3  # level = _START sqrt(tol) to begin with
+_START = 0.03  # level = _START sqrt(tol) to begin with
+_TOLD = 0.01  # of tol: a smaller error is not told from this one
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
 _AIM = 0.1  # of tol: where the level is set to, so low that one run more seldom follows
 _FINER = 0.6  # length of steps over that of another run
@@ -197,7 +198,7 @@ class _Search:
             found = engine.run_auto(
                 simulator, self._options.span, coarser.level, self._progress, coarser.run, part, sample, self._runs
             )
-        run = self._took(AutoRun(level, dt_contact, *found, simulator))
+        run = self._took(AutoRun(level, dt_contact, slack * self._options.stage_tol, *found, simulator))
         if len(self._engines) < _SAME and run.ok:
             self._engines.append((simulator, slack, dt_contact))
         return run
@@ -233,7 +234,9 @@ class _Search:
             return judge_contact(companion, found, before, floor, size, ratio)
         if not math.isfinite(ratio):
             return _whole(self._against_finer(found), floor)
-        return _by_law(auto_runs.distances(companion, found), before, ratio, floor, size)
+        apart = auto_runs.distances(companion, found)
+        floor = max(floor, _left_over(companion, found, largest(apart), size))
+        return _by_law(apart, before, ratio, floor, size)
 
     def _smooth_part(self, found: AutoRun, judged: Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
@@ -246,7 +249,7 @@ class _Search:
         """Return what the error of a run is not below, and the size of its motion."""
         size = found.run.size
         solved = (_EPS + self._options.stage_tol) * size * math.sqrt(found.run.nodes)
-        return max(solved, _SEEN * found.level**2), size
+        return max(solved, _SEEN * found.level**2, _TOLD * self._options.tol), size
 
     def _against_finer(self, found: AutoRun) -> Array:
         """Return the distances of a run from one whose steps are _FINER of its own.
@@ -263,6 +266,15 @@ class _Search:
         if run.interrupted:
             raise KeyboardInterrupt
         return auto_runs.distances(run, found)
+
+
+def _left_over(companion: AutoRun, found: AutoRun, distance: float, size: float) -> float:
+    """Return what the motion makes of what is left of the stage equations, and of rounding.
+
+    It multiplies them as it multiplies what the steps leave out, the square of the level: the distance shows by how
+    much. The law does not see them: the tolerance ends at rounding, and iterations stop anywhere below it.
+    """
+    return distance / companion.level**2 * (_EPS + found.stage_tol) * size * math.sqrt(found.run.nodes)
 
 
 def _by_law(apart: Array, before: Judged | None, ratio: float, floor: float, size: float) -> Judged:
