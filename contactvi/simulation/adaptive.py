@@ -3,8 +3,8 @@
 A first run, the companion, chooses its steps, so that what the stage polynomials leave out of the motion stays below a
 level [m, rad]; between two impacts they only become shorter. With s stages that goes with h^s, and the error of the run
 with h^2s, so with the square of the level. The factor in front depends on the motion and is measured: the steps of the
-next run, at a finer level, are those of the companion times one factor, so that its error is the same part of the
-companion's everywhere, and the distance of the two tells how large both are. The stage iterations of the finer run
+next run, at a finer level, are those of the companion times one factor, and of one length between two impacts, so that
+its error follows the law, and the distance of the two tells how large both are. The stage iterations of the finer run
 start from where the coarser one has gone. Where the error is above tol the level is lowered by this law and the run is
 made again; the run before is then the companion.
 
@@ -13,10 +13,10 @@ of that length; each finer run has them shorter by the factor of its level, and 
 errors. How far they are refined is in contactvi.simulation.auto_contact.
 
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
-relies on the law as far as successive distances have followed it, and is the whole distance where they do not. Rounding
-and the tolerance of the stage equations are counted as a floor that no level can undercut. Two motions that separate
-(chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an AccuracyWarning
-that says why. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
+relies on the law as far as successive distances have followed it, and is the whole distance where they do not. What the
+motion makes of rounding and of the tolerance of the stage equations is a floor that no level can undercut. Two motions
+that separate (chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an
+AccuracyWarning that says why. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class _Search:
 
     def search(self) -> tuple[AutoRun, float]:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
-        step = self._contact.first_step(self._level)
+        step = self._contact.first_step()
         companion = self._run(self._level * math.sqrt(COMPANION), step * math.sqrt(COMPANION))
         part, judged = 1.0 / math.sqrt(COMPANION), None
         for _ in range(_RUNS):

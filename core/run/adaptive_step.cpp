@@ -221,11 +221,11 @@ bool Simulator::may_be_shortened(double length, long impacts) const {
          (length > contact_dt() * (1.0 + 1e-9) || (untouched && state_.status.code == StatusCode::kNewtonFailed));
 }
 
-// Sets the length of the smooth steps from now on, and returns where it changes, at the latest at the end [s]: one length
-// from one step with an impact of the plan's run to the next. A run that looks for its steps finds out late that they
-// are too long, so it is the shortest one; where the motion multiplies errors the steps before that would leave nearly
-// all of the error. A run by a plan has one length that is cut at samples, so it is the longest one. Contact steps go on
-// there as they are.
+// Sets the length of the smooth steps from now on, and returns where it changes, at the latest at the end [s]: one
+// length from one step with an impact of the plan's run to the next. A run that looks for its steps finds out late that
+// they are too long, so it is the shortest one; where the motion multiplies errors the steps before that would leave
+// nearly all of the error. A run by a plan has one length that is cut at samples, so it is the longest one. Contact
+// steps go on there as they are.
 double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {
   const std::vector<double>&t = plan.run.adaptive_t, &dt = plan.run.adaptive_dt;
   const std::vector<ImpactRecord>& impacts = plan.run.impacts;

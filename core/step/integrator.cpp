@@ -35,8 +35,8 @@ bool Integrator::solve_stages() {
   iteration_.begin(newton_);
   acceleration_.clear();
   clear_turns();
-  // What steps of a chosen length start from is good to many digits. The first iterations would only find the turns that
-  // belong to it, one or two digits each.
+  // What steps of a chosen length start from is good to many digits. The first iterations would only find the turns
+  // that belong to it, one or two digits each.
   if (limits_truncation()) stages_.settle_turns(iteration_.tol());
   looks_at_truncation_ = limits_truncation();
   if (lanes_ != nullptr) company_->iterate(*this, *lanes_);
