@@ -53,7 +53,7 @@ _RUNS = 6  # at most, besides the first companion
 _START = 0.03  # level = _START sqrt(tol) to begin with
 _TOLD = 0.01  # of tol: a smaller error is not told from this one
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
-_AIM = 0.1  # of tol: where the level is set to, so low that one run more seldom follows
+_AIM = 0.3  # of tol: where the level is set to, so low that one run more seldom follows
 _FINER = 0.6  # length of steps over that of another run
 _UNSURE = 2.0  # on an estimate by the law with the exponent that was seen
 _FOLLOWS = 5.0  # times what the law expects: a larger distance does not follow it
@@ -130,6 +130,7 @@ class _Search:
         self._last: AutoRun | None = None
         self._engines: list[tuple[_core.Simulator, float, float]] = []  # of the first runs, with their settings
         self._contact = ContactSearch(options)
+        self._growth = 0.0  # of errors over the square of the level, the most that was seen
 
     def search(self) -> tuple[AutoRun, float]:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
@@ -235,8 +236,8 @@ class _Search:
         if not math.isfinite(ratio):
             return _whole(self._against_finer(found), floor)
         apart = auto_runs.distances(companion, found)
-        floor = max(floor, _left_over(companion, found, largest(apart), size))
-        return _by_law(apart, before, ratio, floor, size)
+        self._growth = max(self._growth, min(largest(apart), size) / companion.level**2)
+        return _by_law(apart, before, ratio, max(floor, _left_over(self._growth, found, size)), size)
 
     def _smooth_part(self, found: AutoRun, judged: Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
@@ -268,13 +269,16 @@ class _Search:
         return auto_runs.distances(run, found)
 
 
-def _left_over(companion: AutoRun, found: AutoRun, distance: float, size: float) -> float:
+def _left_over(growth: float, found: AutoRun, size: float) -> float:
     """Return what the motion makes of what is left of the stage equations, and of rounding.
 
-    It multiplies them as it multiplies what the steps leave out, the square of the level: the distance shows by how
-    much. The law does not see them: the tolerance ends at rounding, and iterations stop anywhere below it.
+    It multiplies them as it multiplies what the steps leave out, the square of the level. The law does not see them: the
+    tolerance ends at rounding, and iterations stop anywhere below it.
+
+    Args:
+        growth: the largest distance of two runs over the square of the coarser one's level.
     """
-    return distance / companion.level**2 * (_EPS + found.stage_tol) * size * math.sqrt(found.run.nodes)
+    return growth * (_EPS + found.stage_tol) * size * math.sqrt(found.run.nodes)
 
 
 def _by_law(apart: Array, before: Judged | None, ratio: float, floor: float, size: float) -> Judged:

@@ -303,7 +303,7 @@ def test_what_two_runs_share_is_a_floor():
 
 def test_what_is_left_of_the_stage_equations_is_multiplied_as_the_error_of_the_steps_is():
     found = SimpleNamespace(stage_tol=1e-12, run=SimpleNamespace(nodes=100))
-    left = [adaptive._left_over(SimpleNamespace(level=1e-4), found, distance, 2.0) for distance in (1e-8, 1e-4)]
+    left = [adaptive._left_over(growth, found, 2.0) for growth in (1.0, 1e4)]
     assert left == pytest.approx([2e-11, 2e-7], rel=1e-3)
 
 
