@@ -272,8 +272,8 @@ class _Search:
 def _left_over(growth: float, found: AutoRun, size: float) -> float:
     """Return what the motion makes of what is left of the stage equations, and of rounding.
 
-    It multiplies them as it multiplies what the steps leave out, the square of the level. The law does not see them: the
-    tolerance ends at rounding, and iterations stop anywhere below it.
+    It multiplies them as it multiplies what the steps leave out, the square of the level. The law does not see them:
+    the tolerance ends at rounding, and iterations stop anywhere below it.
 
     Args:
         growth: the largest distance of two runs over the square of the coarser one's level.
