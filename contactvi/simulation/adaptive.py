@@ -120,7 +120,8 @@ class _Search:
         progress: Callable[[float, int], object] | None,
     ) -> None:
         self._compiled, self._options, self._progress = compiled, options, progress
-        self._start = engine.checked_start(compiled, q0, v0)
+        self._given = q0, v0
+        self._start: tuple[Array, Array, float] | None = None  # looked at by the first engine
         self._stages = options.order // 2
         self._level = _clip(_START * math.sqrt(options.tol))  # of the first run after the companion
         self.seconds = 0.0
@@ -206,6 +207,8 @@ class _Search:
 
     def _started(self, simulator: _core.Simulator, options: Options) -> _core.Simulator:
         """Return the simulator at the start; raise the error where it is refused."""
+        if self._start is None:
+            self._start = engine.checked_start(self._compiled, *self._given, 0.0, simulator)
         if not engine.accepts(simulator, *self._start):
             self.refused, error = engine.start_checked(simulator, self._compiled, options, *self._start)
             assert error is not None
