@@ -249,7 +249,7 @@ class Options:
     @property
     def stage_tol(self) -> float:
         """Tolerance to which the equations of a step are solved, relative, in the energy norm."""
-        return min(max(3e-6 * self.tol, STAGE_TOLS[0]), STAGE_TOLS[1]) if self.auto else self.tol
+        return min(max(1e-5 * self.tol, STAGE_TOLS[0]), STAGE_TOLS[1]) if self.auto else self.tol
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as a plain dictionary; `from_dict` reads it back."""

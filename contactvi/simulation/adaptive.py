@@ -3,8 +3,8 @@
 A first run, the companion, chooses its steps, so that what the stage polynomials leave out of the motion stays below a
 level [m, rad]; between two impacts they only become shorter. With s stages that goes with h^s, and the error of the run
 with h^2s, so with the square of the level. The factor in front depends on the motion and is measured: the steps of the
-next run, at a finer level, are those of the companion times one factor, so that its error is the same part of the
-companion's everywhere, and the distance of the two tells how large both are. The stage iterations of the finer run
+next run, at a finer level, are those of the companion times one factor, and of one length between two impacts, so that
+its error follows the law, and the distance of the two tells how large both are. The stage iterations of the finer run
 start from where the coarser one has gone. Where the error is above tol the level is lowered by this law and the run is
 made again; the run before is then the companion.
 
@@ -13,10 +13,10 @@ of that length; each finer run has them shorter by the factor of its level, and 
 errors. How far they are refined is in contactvi.simulation.auto_contact.
 
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
-relies on the law as far as successive distances have followed it, and is the whole distance where they do not. Rounding
-and the tolerance of the stage equations are counted as a floor that no level can undercut. Two motions that separate
-(chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an AccuracyWarning
-that says why. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
+relies on the law as far as successive distances have followed it, and is the whole distance where they do not. What the
+motion makes of rounding and of the tolerance of the stage equations is a floor that no level can undercut. Two motions
+that separate (chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an
+AccuracyWarning that says why. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ Array = NDArray[np.float64]
 
 _SAME = 2  # runs of each call with equal options that have the same settings
 _RUNS = 6  # at most, besides the first companion
-_START = 0.3  # level = _START sqrt(tol) to begin with
+_START = 0.03  # level = _START sqrt(tol) to begin with
+_TOLD = 0.01  # of tol: a smaller error is not told from this one
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
-_AIM = 0.1  # of tol: where the level is set to, so low that one run more seldom follows
+_AIM = 0.3  # of tol: where the level is set to, so low that one run more seldom follows
 _FINER = 0.6  # length of steps over that of another run
 _UNSURE = 2.0  # on an estimate by the law with the exponent that was seen
 _FOLLOWS = 5.0  # times what the law expects: a larger distance does not follow it
@@ -119,7 +120,8 @@ class _Search:
         progress: Callable[[float, int], object] | None,
     ) -> None:
         self._compiled, self._options, self._progress = compiled, options, progress
-        self._start = engine.checked_start(compiled, q0, v0)
+        self._given = q0, v0
+        self._start: tuple[Array, Array, float] | None = None  # looked at by the first engine
         self._stages = options.order // 2
         self._level = _clip(_START * math.sqrt(options.tol))  # of the first run after the companion
         self.seconds = 0.0
@@ -129,10 +131,11 @@ class _Search:
         self._last: AutoRun | None = None
         self._engines: list[tuple[_core.Simulator, float, float]] = []  # of the first runs, with their settings
         self._contact = ContactSearch(options)
+        self._growth = 0.0  # of errors over the square of the level, the most that was seen
 
     def search(self) -> tuple[AutoRun, float]:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
-        step = self._contact.first_step(self._level)
+        step = self._contact.first_step()
         companion = self._run(self._level * math.sqrt(COMPANION), step * math.sqrt(COMPANION))
         part, judged = 1.0 / math.sqrt(COMPANION), None
         for _ in range(_RUNS):
@@ -197,13 +200,15 @@ class _Search:
             found = engine.run_auto(
                 simulator, self._options.span, coarser.level, self._progress, coarser.run, part, sample, self._runs
             )
-        run = self._took(AutoRun(level, dt_contact, *found, simulator))
+        run = self._took(AutoRun(level, dt_contact, slack * self._options.stage_tol, *found, simulator))
         if len(self._engines) < _SAME and run.ok:
             self._engines.append((simulator, slack, dt_contact))
         return run
 
     def _started(self, simulator: _core.Simulator, options: Options) -> _core.Simulator:
         """Return the simulator at the start; raise the error where it is refused."""
+        if self._start is None:
+            self._start = engine.checked_start(self._compiled, *self._given, 0.0, simulator)
         if not engine.accepts(simulator, *self._start):
             self.refused, error = engine.start_checked(simulator, self._compiled, options, *self._start)
             assert error is not None
@@ -233,7 +238,9 @@ class _Search:
             return judge_contact(companion, found, before, floor, size, ratio)
         if not math.isfinite(ratio):
             return _whole(self._against_finer(found), floor)
-        return _by_law(auto_runs.distances(companion, found), before, ratio, floor, size)
+        apart = auto_runs.distances(companion, found)
+        self._growth = max(self._growth, min(largest(apart), size) / companion.level**2)
+        return _by_law(apart, before, ratio, max(floor, _left_over(self._growth, found, size)), size)
 
     def _smooth_part(self, found: AutoRun, judged: Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
@@ -246,7 +253,7 @@ class _Search:
         """Return what the error of a run is not below, and the size of its motion."""
         size = found.run.size
         solved = (_EPS + self._options.stage_tol) * size * math.sqrt(found.run.nodes)
-        return max(solved, _SEEN * found.level**2), size
+        return max(solved, _SEEN * found.level**2, _TOLD * self._options.tol), size
 
     def _against_finer(self, found: AutoRun) -> Array:
         """Return the distances of a run from one whose steps are _FINER of its own.
@@ -263,6 +270,18 @@ class _Search:
         if run.interrupted:
             raise KeyboardInterrupt
         return auto_runs.distances(run, found)
+
+
+def _left_over(growth: float, found: AutoRun, size: float) -> float:
+    """Return what the motion makes of what is left of the stage equations, and of rounding.
+
+    It multiplies them as it multiplies what the steps leave out, the square of the level. The law does not see them:
+    the tolerance ends at rounding, and iterations stop anywhere below it.
+
+    Args:
+        growth: the largest distance of two runs over the square of the coarser one's level.
+    """
+    return growth * (_EPS + found.stage_tol) * size * math.sqrt(found.run.nodes)
 
 
 def _by_law(apart: Array, before: Judged | None, ratio: float, floor: float, size: float) -> Judged:

@@ -25,8 +25,8 @@ LEAST = 10.0  # ratio of the errors of two runs: more is not taken for granted, 
 LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
 SHORTEST = 1e-6  # [s] step in contact
 _LONGEST = 2e-2  # [s]
-_STEP = 3.0  # [s/m] step in contact / level to begin with: about 1e-3 s for tol = 1e-6,
-_LEVEL = 3e-4  # [m, rad] and no shorter for a finer level than this
+_STEP = 0.9  # [s] step in contact / root of tol to begin with: about 1e-3 s for tol = 1e-6,
+_TOLS = (1e-6, 1e-4)  # [m, rad] and as for these beyond them
 _AIM = 0.3  # of tol: what the law is to give; a margin costs in proportion
 _UNSURE = 3.0  # as LEAST, where no third run has confirmed the law
 _STRAYS = 2  # pairs of runs on the same motion that do not follow the law: then it is given up
@@ -74,9 +74,10 @@ class ContactSearch:
         self._allowed = math.nan
         self.spent = 0
 
-    def first_step(self, level: float) -> float:
+    def first_step(self) -> float:
         """Return the contact step of the run at the first level [s]; a given number is that of its companion."""
-        return min(_STEP * max(level, _LEVEL), min(self._longest, _LONGEST) / math.sqrt(COMPANION))
+        root = math.sqrt(min(max(self._tol, _TOLS[0]), _TOLS[1]))
+        return min(_STEP * root, min(self._longest, _LONGEST) / math.sqrt(COMPANION))
 
     def next_part(self, found: AutoRun, judged: Judged) -> tuple[float, str]:
         """Return what the steps of the next run are of those of this one; 1 with a reason where there is to be none."""

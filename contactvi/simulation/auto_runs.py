@@ -24,13 +24,16 @@ class AutoRun:
     """A run at a level [m, rad] and with contact steps of at most dt_contact [s], and the engine at its end.
 
     Attributes:
+        stage_tol: tolerance of its stage equations.
         interrupted: whether the user has stopped it.
     """
 
     def __init__(
-        self, level: float, dt_contact: float, run: _core.KeptRun, interrupted: bool, simulator: _core.Simulator
-    ) -> None:
-        self.level, self.dt_contact, self.run, self.engine = level, dt_contact, run, simulator
+        self, level: float, dt_contact: float, stage_tol: float, run: _core.KeptRun, interrupted: bool,
+        simulator: _core.Simulator,
+    ) -> None:  # fmt: skip
+        self.level, self.dt_contact, self.stage_tol = level, dt_contact, stage_tol
+        self.run, self.engine = run, simulator
         self.interrupted = interrupted
         self.code = _CODES[int(run.code)]
 

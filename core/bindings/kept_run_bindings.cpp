@@ -28,14 +28,16 @@ struct Own {
   const Scene* scene;
   SimulatorOptions options;
   nb::object owner;  // of the scene
+  bool planned;      // its steps are parts of those of another one
 };
 
 // The run, and the error of a callback or a function of the user that ended it.
 using Outcome = nb::typed<nb::tuple, Own, nb::object>;
 
 template <class Run>
-Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, const Own* guide, Run call) {
-  auto own = std::make_unique<Own>(Own{KeptRun(), &sim.scene(), sim.options(), nb::find(sim.scene())});
+Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, const Own* guide, bool planned,
+             Run call) {
+  auto own = std::make_unique<Own>(Own{KeptRun(), &sim.scene(), sim.options(), nb::find(sim.scene()), planned});
   KeptRun& run = own->run;
   const Progress callback = wrapped(progress);
   sim.forget_steps();
@@ -64,8 +66,8 @@ Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::op
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
   std::optional<StepPlan> plan;
   if (coarser != nullptr && !coarser->run.recording.adaptive_t.empty())
-    plan.emplace(StepPlan{coarser->run.recording, part});
-  return keep(sim, progress, coarser, [&](const Progress& callback, Recording& recording) {
+    plan.emplace(StepPlan{coarser->run.recording, part, coarser->planned});
+  return keep(sim, progress, coarser, plan.has_value(), [&](const Progress& callback, Recording& recording) {
     return sim.run_auto(duration, {level, plan ? &*plan : nullptr, sample, after_impact}, callback, recording);
   });
 }

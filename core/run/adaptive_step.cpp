@@ -221,14 +221,27 @@ bool Simulator::may_be_shortened(double length, long impacts) const {
          (length > contact_dt() * (1.0 + 1e-9) || (untouched && state_.status.code == StatusCode::kNewtonFailed));
 }
 
-// Sets the length of the smooth steps from now on, and returns where it changes, at the latest at the end [s]. Contact
+// Sets the length of the smooth steps from now on, and returns where it changes, at the latest at the end [s]: one
+// length from one step with an impact of the plan's run to the next. A run that looks for its steps finds out late that
+// they are too long, so it is the shortest one; where the motion multiplies errors the steps before that would leave
+// nearly all of the error. A run by a plan has one length that is cut at samples, so it is the longest one. Contact
 // steps go on there as they are.
 double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {
   const std::vector<double>&t = plan.run.adaptive_t, &dt = plan.run.adaptive_dt;
+  const std::vector<ImpactRecord>& impacts = plan.run.impacts;
+  const auto goes_on = [&](std::size_t k) {  // without an impact since the change of length before this one
+    const auto next = std::upper_bound(impacts.begin(), impacts.end(), t[k - 1],
+                                       [](double time, const ImpactRecord& impact) { return time < impact.time; });
+    return next == impacts.end() || next->time > t[k];
+  };
   const double now = state_.time + kSameTime * (end - t[0]);
   const std::size_t next = static_cast<std::size_t>(std::upper_bound(t.begin(), t.end(), now) - t.begin());
-  state_.adaptive_dt = plan.part * dt[std::max<std::size_t>(next, 1) - 1];
-  return next < t.size() && !persistent ? std::min(t[next], end) : end;
+  std::size_t first = std::max<std::size_t>(next, 1) - 1, last = first + 1;
+  while (first > 0 && goes_on(first)) --first;
+  while (last < t.size() && goes_on(last)) ++last;
+  const auto [shortest, longest] = std::minmax_element(&dt[first], &dt[first] + (last - first));
+  state_.adaptive_dt = plan.part * (plan.planned ? *longest : *shortest);
+  return last < t.size() && !persistent ? std::min(t[last], end) : end;
 }
 
 Status Simulator::run_auto(double duration, const AutoSteps& steps, const Progress& progress, Recording& recording) {

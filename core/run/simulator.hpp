@@ -18,6 +18,7 @@ namespace contactvi {
 struct StepPlan {
   const Recording& run;  // the other one
   double part;
+  bool planned;  // whether its steps were parts of those of yet another one
 };
 
 // How Simulator::run_auto chooses its steps.

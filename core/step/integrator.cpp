@@ -35,6 +35,9 @@ bool Integrator::solve_stages() {
   iteration_.begin(newton_);
   acceleration_.clear();
   clear_turns();
+  // What steps of a chosen length start from is good to many digits. The first iterations would only find the turns
+  // that belong to it, one or two digits each.
+  if (limits_truncation()) stages_.settle_turns(iteration_.tol());
   looks_at_truncation_ = limits_truncation();
   if (lanes_ != nullptr) company_->iterate(*this, *lanes_);
   while (iteration_.goes_on()) {
@@ -135,7 +138,8 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   }
   start_constant(v0_);
   if (settles()) return fits();
-  return start_by_ramp(tau) && fits();
+  // A shorter step costs less than a ramp, which takes several and then the long one.
+  return !limits_truncation() && start_by_ramp(tau) && fits();
 }
 
 // Whether the steps from here on are likely to go on as the last ones did, with no inputs that may change.

@@ -268,6 +268,24 @@ void Stages::settle() {
   }
 }
 
+void Stages::settle_turns(double exact) {
+  if (model_->lanes.balls == 0) return;
+  const std::size_t S = work_.S;
+  double before[3 * kMaxStages];
+  for (int k = 0; k < kTurnIterations; ++k) {
+    rates();
+    double change = 0.0;
+    for (const Joint& joint : tree_->joints) {
+      if (joint.type != JointType::kSpherical) continue;
+      double* X = X_ + joint.iv * S;
+      std::copy_n(X, 3 * S, before);
+      kernel_->combine(3, work_.s, work_.S, hA_, work_.rate + joint.iv * S, X, false);
+      for (std::size_t i = 0; i < 3 * S; ++i) change = std::max(change, std::abs(X[i] - before[i]));
+    }
+    if (change <= exact) return;
+  }
+}
+
 void Stages::evaluate_with_forces() {
   evaluate();
   if (work_.extra) work_.extra(work_.context);

@@ -62,6 +62,8 @@ class Stages {
   void rates() { kernel_->rates(&model_->lanes, &work_); }
   // X of the velocities; on spherical joints it depends on itself and is iterated until it stays.
   void settle();
+  // X of spherical joints alone, until it changes by no more than this [rad].
+  void settle_turns(double exact);
   // evaluate(), with all forces in G.
   void evaluate_with_forces();
 

@@ -13,6 +13,7 @@ import pytest
 import contactvi as cvi
 from contactvi.simulation.auto_contact import BUDGET
 from contactvi.states import States
+from helpers.chains import JOINTS, chain
 from helpers.run_scenes import FIRST_IMPACT, ball_file, ball_scene, slider_scene
 
 EPS = np.finfo(float).eps
@@ -147,6 +148,33 @@ def test_motion_that_multiplies_errors(tol):
     close = cvi.simulate(scene, duration=10.0, dt=0.005, order=16, tol=1e-14)
     traj = cvi.simulate(scene, duration=10.0, tol=tol)
     assert error(traj, close) / 3.0 <= traj.error_estimate <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-6, 1e-7])
+@pytest.mark.parametrize("sample", [None, 0.1])
+@pytest.mark.parametrize(
+    ("kinds", "seed"),
+    [("swinging", 1), ("swinging", 2), ("double", 2), ("spherical", 2), ("free", 0)],
+)
+def test_estimates_of_random_chains(kinds, seed, sample, tol):
+    """Motion from smooth to wild; some multiply errors by 1e4, some begin with steps that turn out too long."""
+    joints, span = {
+        "swinging": ([pin.JointModelRY() for _ in range(5)], 1.5),
+        "double": ([pin.JointModelRY() for _ in range(2)], 5.0),
+        "spherical": (JOINTS["spherical"], 1.5),
+        "free": ([pin.JointModelFreeFlyer(), *(pin.JointModelRX() for _ in range(4))], 1.0),
+    }[kinds]
+    scene, rng = chain(joints, seed)
+    v0 = rng.uniform(-2.0, 2.0, scene.nv)
+    close = cvi.simulate(scene, None, v0, span, dt=0.0025, order=16, tol=1e-15)
+    options = {} if sample is None else {"sample_dt": sample}
+    traj = cvi.simulate(scene, None, v0, span, dt="auto", tol=tol, **options)
+    assert error(traj, close) / 3.0 <= traj.error_estimate <= tol
+
+
+def test_an_error_far_below_what_was_asked_is_a_hundredth_of_that():
+    """A parabola is exact; smaller errors are not told apart."""
+    assert cvi.simulate(ball_scene(), duration=1.0, tol=1e-6).error_estimate == pytest.approx(1e-8)
 
 
 def test_what_cannot_be_met_is_said():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -73,6 +74,42 @@ def test_a_run_that_is_led_takes_fewer_sweeps():
     t, q, _ = record_of(led, compiled, chosen).nodes()
     exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, tol=1e-14).at(t).q
     np.testing.assert_allclose(q, exact, atol=1e-8)
+
+
+def test_a_turning_base_is_led_as_closely_as_the_joints():
+    """Its turns in a step depend on themselves; they are found before the first iteration, not by the first ones."""
+    scene, rng = chain([pin.JointModelFreeFlyer(), *(pin.JointModelRY() for _ in range(4))])
+    scene.v0 = rng.uniform(-2, 2, scene.nv)
+    compiled, chosen = compile_scene(scene), options(order=16)
+    coarser = made(compiled, chosen, level=1e-6)
+    led = made(compiled, chosen, coarser=coarser, part=0.8)
+    steps = led.nodes - 1
+    alone = cvi.simulate(compiled.scene(), duration=SPAN, dt=SPAN / steps, order=16, tol=chosen.stage_tol)
+    assert led.sweeps < 0.6 * alone.stats.sweeps
+    t, q, _ = record_of(led, compiled, chosen).nodes()
+    exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, tol=1e-14).at(t).q
+    assert compiled.states.distance(q, exact).max() <= 1e-8
+
+
+def lengths(run, compiled, chosen):
+    return record_of(run, compiled, chosen).adaptive_steps["dt"]
+
+
+def test_a_run_by_a_plan_takes_one_length_in_a_flight():
+    """The shortest of the run that looked for it; and the longest of a run by a plan, which samples have cut."""
+    compiled, chosen = swinging_chain(), options(order=16)
+    coarser = made(compiled, chosen, level=1e-3)
+    led = made(compiled, chosen, coarser=coarser, part=0.5)
+    cut = made(compiled, chosen, coarser=coarser, part=0.5, sample=0.37 * SPAN)
+    finer = made(compiled, chosen, coarser=cut, part=0.5)
+    found, of_led, of_cut, of_finer = (lengths(run, compiled, chosen) for run in (coarser, led, cut, finer))
+    assert np.all(np.diff(found) < 0.0)
+    assert len(found) > 1
+    steps = math.ceil(SPAN / (0.5 * found[-1]) - 1e-9)
+    np.testing.assert_allclose(of_led, [SPAN / steps], rtol=1e-12)
+    assert len(of_cut) > 1
+    steps = math.ceil(SPAN / (0.5 * of_cut.max()) - 1e-9)
+    np.testing.assert_allclose(of_finer, [SPAN / steps], rtol=1e-12)
 
 
 def test_a_run_that_leads_astray_costs_sweeps_and_nothing_else():
@@ -262,6 +299,12 @@ def test_what_two_runs_share_is_a_floor():
     judged = adaptive._by_law(np.array([0.0]), None, 1e-2, 1e-9, 1.0)
     assert judged.estimate == 1e-9
     assert isinstance(judged, Judged)
+
+
+def test_what_is_left_of_the_stage_equations_is_multiplied_as_the_error_of_the_steps_is():
+    found = SimpleNamespace(stage_tol=1e-12, run=SimpleNamespace(nodes=100))
+    left = [adaptive._left_over(growth, found, 2.0) for growth in (1.0, 1e4)]
+    assert left == pytest.approx([2e-11, 2e-7], rel=1e-3)
 
 
 def test_the_kept_run_belongs_to_the_engine():

@@ -310,8 +310,8 @@ def resolved(file, forced=False, **chosen):
 def test_defaults_depend_on_the_kind_of_step():
     fixed, auto = resolved({"dt": 0.01}), resolved({})
     assert (fixed.order, fixed.tol, fixed.stage_tol, fixed.dense, fixed.auto) == (2, 1e-12, 1e-12, False, False)
-    assert (auto.dt, auto.order, auto.tol, auto.stage_tol, auto.dense) == ("auto", 16, 1e-6, pytest.approx(3e-12), True)
-    assert resolved({}, tol=1e-9).stage_tol == pytest.approx(3e-15)
+    assert (auto.dt, auto.order, auto.tol, auto.stage_tol, auto.dense) == ("auto", 16, 1e-6, pytest.approx(1e-11), True)
+    assert resolved({}, tol=1e-9).stage_tol == pytest.approx(1e-14)
     assert resolved({}, tol=1e-13).stage_tol == 1e-15
     assert resolved({"dt": 0.01}, order=6).dense
     assert resolved({"dt": 0.01}, sample_dt=0.1).dense
