@@ -390,7 +390,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const Instant instant{at, before, interval.remaining, interval.tau, state_.step};
   if (!resolve_event(event.guard, event.stays_closed, instant, recording)) return false;
   StepControl& control = state_.control;
-  if (before <= 0.0 && zeno_.impacted().empty()) {
+  if (before < StepControl::kShortest * shortest_nominal_step() && zeno_.impacted().empty()) {
     if (!control.count_standstill())
       return end(StatusCode::kTooManyImpacts, at, "contacts open and close without end at one instant", event.guard);
     step_past_rounding(event.guard);
