@@ -62,6 +62,15 @@ template <class V>
 LANE_INLINE void store(double* at, V x) {
   __builtin_memcpy(__builtin_assume_aligned(at, sizeof(V)), &x, sizeof(V));
 }
+// A plain access, unlike a copy of bytes, cannot be one to the pointers of LaneWork: they stay in registers.
+template <>
+LANE_INLINE double load<double>(const double* at) {
+  return *at;
+}
+template <>
+LANE_INLINE void store<double>(double* at, double x) {
+  *at = x;
+}
 template <class V>
 LANE_INLINE V absolute(V x) {
   return Lane<V>::value(Lane<V>::bits(x) & 0x7fffffffffffffffLL);
