@@ -4,6 +4,11 @@
 
 namespace {
 using namespace contactvi;
+#ifdef CONTACTVI_ONE_STAGE
+constexpr bool kOneStage = true;  // steps have one stage, which is the only lane: rows of the arrays are single numbers
+#else
+constexpr bool kOneStage = false;
+#endif
 // clang-format off: each uses the ones before it
 #include "lane_math.hpp"
 #include "lane_dynamics.hpp"

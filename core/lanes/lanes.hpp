@@ -153,6 +153,8 @@ struct LaneKernel {
 }  // namespace contactvi
 
 extern "C" {
+// Of a single stage.
+extern const contactvi::LaneKernel contactvi_lanes_one_stage;
 // Two widths each: for up to 4 stages and for more.
 extern const contactvi::LaneKernel contactvi_lanes_base[2];
 extern const contactvi::LaneKernel contactvi_lanes_avx2[2];

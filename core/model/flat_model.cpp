@@ -231,9 +231,9 @@ const InstructionSet*& chosen() {
   return set;
 }
 
-// A single stage gains nothing from lanes and runs as plain doubles everywhere.
+// A single stage gains nothing from lanes and runs as plain doubles everywhere, in a build of its own.
 const LaneKernel& of(const InstructionSet& set, int stages) {
-  if (stages == 1) return contactvi_lanes_base[0];
+  if (stages == 1) return contactvi_lanes_one_stage;
   return set.kernels[stages <= 4 ? 0 : 1];
 }
 
