@@ -5,7 +5,7 @@
 namespace {
 using namespace contactvi;
 #ifdef CONTACTVI_ONE_STAGE
-constexpr bool kOneStage = true;  // steps have one stage, which is the only lane: rows of the arrays are single numbers
+constexpr bool kOneStage = true;  // of all steps: a row of an array is one vector
 #else
 constexpr bool kOneStage = false;
 #endif

@@ -15,7 +15,7 @@ struct Group {
   V* slots;
   int offset;  // of its first lane among the stages
 
-  int row() const { return kOneStage ? 1 : work->S; }
+  int row() const { return kOneStage ? Lane<V>::count : work->S; }
   int first() const { return kOneStage ? 0 : offset; }
   V at(const double* array, int dof) const { return Memory<V>::get(*work, array + dof * row() + first()); }
   void put(double* array, int dof, V x) const { Memory<V>::put(*work, array + dof * row() + first(), x); }

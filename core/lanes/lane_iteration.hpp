@@ -380,9 +380,12 @@ void add_runs(int rows, const double* weight, const double* rate, double* base, 
 
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count,      evaluate<V>,      place_stages<V>,     factor_stages<V>,
-          solve_stages<V>,     solve_columns<V>, iterate<V>,          rates<V>,
-          combine<V>,          tangent<V>,       evaluate_tangent<V>, evaluate_second<V>,
-          subtract_product<V>, iterate_runs<V>,  solve_runs<V>,       extrapolate_runs<V>,
-          add_runs<V>};
+  return {Lane<V>::count,      evaluate<V>,        place_stages<V>,    factor_stages<V>, solve_stages<V>,
+          solve_columns<V>,    iterate<V>,         rates<V>,           combine<V>,       tangent<V>,
+          evaluate_tangent<V>, evaluate_second<V>, subtract_product<V>};
+}
+
+template <class V>
+constexpr RunKernel run_kernel() {
+  return {Lane<V>::count, iterate_runs<V>, rates<V>, solve_runs<V>, extrapolate_runs<V>, add_runs<V>};
 }
