@@ -482,6 +482,11 @@ def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3)
     Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.
     """
 
+def hull_of_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple:
+    """
+    Vertices (n, 3) and triangles (m, 3) of the hull that coal makes of points, which must have a volume.
+    """
+
 def hull_faces(hull: int) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]:
     """Triangles (m, 3) of a coal.Convex, of which hull is the id()."""
 

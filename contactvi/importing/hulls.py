@@ -30,6 +30,8 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
     Raises:
         SceneError: not finite, fewer than 4 points, or all in a plane.
     """
+    from contactvi import _core  # here: saved runs are read and shown without the engine
+
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     outer = _outer_points(points, name)
     size = float(np.max(np.ptp(outer, axis=0)))
@@ -38,10 +40,8 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
         if grid > 0.0:
             _, first = np.unique(np.round(outer / grid).astype(np.int64), axis=0, return_index=True)
             thin = _outer_points(outer[np.sort(first)], name)
-        vertices = coal.StdVec_Vec3s()
-        vertices.extend(list(thin))
         try:
-            hull = coal.Convex.convexHull(vertices, True, "Qt")
+            hull = hull_by_engine(*_core.hull_of_points(np.ascontiguousarray(thin)))
         except RuntimeError as error:
             if "neighbors" not in str(error):
                 raise SceneError(
@@ -53,7 +53,7 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
                 ) from error
             continue
         if max(len(hull.neighbors(i)) for i in range(hull.num_points)) <= MOST_NEIGHBOURS:
-            return _finished(hull), grid
+            return hull, grid
     raise SceneError(
         f"Hull of geometry {name!r}",
         body=name,

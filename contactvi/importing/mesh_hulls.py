@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import coal
 import numpy as np
@@ -18,6 +19,9 @@ from contactvi.importing.hulls import check_shape, faces_by_engine, hull_by_engi
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
 from contactvi.importing.report import PartReport, number
 from contactvi.importing.submeshes import volume_of
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 SELF_CONTAINED = (".stl", ".obj", ".ply", ".dae")  # formats whose vertices stand in the file itself
 
@@ -81,16 +85,22 @@ class MeshHulls:
         self._keys: dict[MeshFile, str | None] = {}
         self._hulls: dict[MeshFile, MeshHull] = {}
         self._meshes: dict[MeshFile, coal.BVHModelBase] = {}
+        self._made: dict[MeshFile, Future[tuple[coal.Convex, float]]] = {}
+        self._maker: ThreadPoolExecutor | None = None
 
     def take(self, geometry: pin.GeometryObject, file: MeshFile) -> None:
-        """Give a geometry the hull of a file, where the cache has it, else its mesh. Raises what coal raises."""
+        """Give a geometry the hull of a file, where the cache has it, else its mesh. Raises what coal raises.
+
+        The hull of the mesh is made in a thread of its own, while the next files are read.
+        """
         if file not in self._keys:
             key = self._keys[file] = file.key()
             hull = MeshHull.found(key) if key is not None else None
             if hull is not None:
                 self._hulls[file] = hull
             else:
-                self._meshes[file] = file.read()
+                mesh = self._meshes[file] = file.read()
+                self._made[file] = self._start(mesh, f"{geometry.name} ({Path(file.path).name})")
         self._files[geometry.name] = file
         geometry.geometry = self._hulls[file].shape if file in self._hulls else self._meshes[file]
         geometry.meshPath, geometry.meshScale = file.path, np.array(file.scale)
@@ -108,10 +118,21 @@ class MeshHulls:
         if not isinstance(mesh, coal.BVHModelBase):
             return None
         if file is None:
-            return _hull_of(mesh, geometry.name, _key_of(mesh), float(mesh.computeVolume()))
+            return _hull_of(mesh, geometry.name)
+        shape, grid = self._made[file].result()
         volume = volume_of(mesh, file.path, np.array(file.scale))
-        self._hulls[file] = _hull_of(mesh, f"{geometry.name} ({Path(file.path).name})", self._keys[file], volume)
-        return self._hulls[file]
+        hull = self._hulls[file] = MeshHull(shape, grid, int(mesh.num_vertices), volume)
+        if (key := self._keys[file]) is not None:
+            hull.keep(key)
+        return hull
+
+    def _start(self, mesh: coal.BVHModelBase, name: str) -> Future[tuple[coal.Convex, float]]:
+        """Start making a hull."""
+        if self._maker is None:
+            from concurrent.futures import ThreadPoolExecutor  # here: it takes time to import
+
+            self._maker = ThreadPoolExecutor(1)
+        return self._maker.submit(hull_of_points, mesh.vertices(), name)
 
 
 def prepare_geometry(geometry: pin.GeometryObject, report: PartReport, hulls: MeshHulls) -> str:
@@ -138,17 +159,13 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport, hulls: Me
     return text
 
 
-def _key_of(mesh: coal.BVHModelBase) -> str:
-    """Return the name of a mesh's hull; its triangles show in the volume alone."""
-    return cache.key("hull of a mesh", np.array(mesh.vertices()).tobytes(), float(mesh.computeVolume()))
-
-
-def _hull_of(mesh: coal.BVHModelBase, name: str, key: str | None, volume: float) -> MeshHull:
-    found = MeshHull.found(key) if key is not None else None
-    if found is not None:
+def _hull_of(mesh: coal.BVHModelBase, name: str) -> MeshHull:
+    """Return the hull of a mesh that is of no file; its triangles show in the volume alone."""
+    volume = float(mesh.computeVolume())
+    key = cache.key("hull of a mesh", np.array(mesh.vertices()).tobytes(), volume)
+    if (found := MeshHull.found(key)) is not None:
         return found
     shape, grid = hull_of_points(mesh.vertices(), name)
     made = MeshHull(shape, grid, int(mesh.num_vertices), volume)
-    if key is not None:
-        made.keep(key)
+    made.keep(key)
     return made

@@ -4,6 +4,11 @@
 
 namespace {
 using namespace contactvi;
+#ifdef CONTACTVI_ONE_STAGE
+constexpr bool kOneStage = true;  // of all steps: a row of an array is one vector
+#else
+constexpr bool kOneStage = false;
+#endif
 // clang-format off: each uses the ones before it
 #include "lane_math.hpp"
 #include "lane_dynamics.hpp"

@@ -15,8 +15,10 @@ struct Group {
   V* slots;
   int offset;  // of its first lane among the stages
 
-  V at(const double* array, int dof) const { return Memory<V>::get(*work, array + dof * work->S + offset); }
-  void put(double* array, int dof, V x) const { Memory<V>::put(*work, array + dof * work->S + offset, x); }
+  int row() const { return kOneStage ? Lane<V>::count : work->S; }
+  int first() const { return kOneStage ? 0 : offset; }
+  V at(const double* array, int dof) const { return Memory<V>::get(*work, array + dof * row() + first()); }
+  void put(double* array, int dof, V x) const { Memory<V>::put(*work, array + dof * row() + first(), x); }
   // A number of the step, which all of its stages share.
   typename Memory<V>::Number number(const double* array, int index) const {
     return Memory<V>::number(*work, array + index);

@@ -21,17 +21,18 @@ LANE_INLINE RunGroup<V> run_group(const LaneTree* tree, const LaneWork* work, in
 
 template <class V>
 LANE_INLINE int groups(const LaneWork* work) {
-  return work->S / Lane<V>::count;
+  return kOneStage ? 1 : work->S / Lane<V>::count;
 }
+LANE_INLINE int stages(const LaneWork& work) { return kOneStage ? 1 : work.s; }
 
 // sum_j in[dof][j] hA[j][i]
 template <class V>
 LANE_INLINE V stage_sum(const Group<V>& g, const double* in, int dof) {
   typedef Memory<V> M;
   const LaneWork& w = *g.work;
-  const double* row = in + dof * w.S;
-  V sum = M::number(w, row) * M::get(w, w.hA + g.offset);
-  for (int j = 1; j < w.s; ++j) sum = sum + M::number(w, row + j) * M::get(w, w.hA + j * w.S + g.offset);
+  const double* row = in + dof * g.row();
+  V sum = M::number(w, row) * M::get(w, w.hA + g.first());
+  for (int j = 1; j < stages(w); ++j) sum = sum + M::number(w, row + j) * M::get(w, w.hA + j * g.row() + g.first());
   return sum;
 }
 template <class V>
@@ -44,9 +45,9 @@ template <class V>
 LANE_INLINE typename Memory<V>::Number end_sum(const Group<V>& g, const double* in, int dof) {
   typedef Memory<V> M;
   const LaneWork& w = *g.work;
-  const double* row = in + dof * w.S;
+  const double* row = in + dof * g.row();
   typename M::Number sum = M::number(w, w.hb) * M::number(w, row);
-  for (int j = 1; j < w.s; ++j) sum = sum + M::number(w, w.hb + j) * M::number(w, row + j);
+  for (int j = 1; j < stages(w); ++j) sum = sum + M::number(w, w.hb + j) * M::number(w, row + j);
   return sum;
 }
 template <class V>
@@ -96,7 +97,7 @@ inline void displace(const G& g, int flags) {
         g.put(w.X, j.dof + d, stage_sum(g, w.rate, j.dof + d));
     }
   }
-  if constexpr (measure) store<V>(w.error + g.offset, moved);
+  if constexpr (measure) store<V>(w.error + g.first(), moved);
 }
 
 // Rates of the chart momentum of the balls, and exp(X) G for the balance.
@@ -168,7 +169,7 @@ inline void measure_impulses(const G& g) {
       sum = sum + impulse * impulse * factor[has_three(j) ? three[d] : 6];
     }
   }
-  store<V>(w.impulse_energy + g.offset, sum);
+  store<V>(w.impulse_energy + g.first(), sum);
 }
 
 template <class G>
@@ -192,15 +193,15 @@ inline void correct(const G& g, int flags) {
     solve_backward(g);
     solve_forward(g);
   }
-  V error = load<V>(w.error + g.offset), kinetic = Lane<V>::all(0.0);
+  V error = load<V>(w.error + g.first()), kinetic = Lane<V>::all(0.0);
   for (int dof = 0; dof < g.tree->nv; ++dof) {
     const V dv = g.at(w.dv, dof), v = g.at(w.v, dof);
     error = error + g.at(w.magnitude, dof) * dv;
     kinetic = kinetic + g.at(w.P, dof) * v;
     if (!(flags & kLaneKeepVelocity)) g.put(w.v, dof, v + dv);
   }
-  store<V>(w.error + g.offset, error);
-  store<V>(w.kinetic + g.offset, kinetic);
+  store<V>(w.error + g.first(), error);
+  store<V>(w.kinetic + g.first(), kinetic);
 }
 
 // make(k): the group k of lanes.
@@ -379,9 +380,12 @@ void add_runs(int rows, const double* weight, const double* rate, double* base, 
 
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count,      evaluate<V>,      place_stages<V>,     factor_stages<V>,
-          solve_stages<V>,     solve_columns<V>, iterate<V>,          rates<V>,
-          combine<V>,          tangent<V>,       evaluate_tangent<V>, evaluate_second<V>,
-          subtract_product<V>, iterate_runs<V>,  solve_runs<V>,       extrapolate_runs<V>,
-          add_runs<V>};
+  return {Lane<V>::count,      evaluate<V>,        place_stages<V>,    factor_stages<V>, solve_stages<V>,
+          solve_columns<V>,    iterate<V>,         rates<V>,           combine<V>,       tangent<V>,
+          evaluate_tangent<V>, evaluate_second<V>, subtract_product<V>};
+}
+
+template <class V>
+constexpr RunKernel run_kernel() {
+  return {Lane<V>::count, iterate_runs<V>, rates<V>, solve_runs<V>, extrapolate_runs<V>, add_runs<V>};
 }

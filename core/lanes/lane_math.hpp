@@ -52,15 +52,15 @@ struct Lane<V8> {
 };
 #endif
 
+// Vectors may be read and written where doubles stand, as those of the compilers' own headers are. Unlike a copy of
+// bytes such an access cannot be one to the pointers of LaneWork: they stay in registers.
 template <class V>
 LANE_INLINE V load(const double* at) {
-  V x;
-  __builtin_memcpy(&x, __builtin_assume_aligned(at, sizeof(V)), sizeof(V));
-  return x;
+  return *reinterpret_cast<const V*>(at);
 }
 template <class V>
 LANE_INLINE void store(double* at, V x) {
-  __builtin_memcpy(__builtin_assume_aligned(at, sizeof(V)), &x, sizeof(V));
+  *reinterpret_cast<V*>(at) = x;
 }
 template <class V>
 LANE_INLINE V absolute(V x) {

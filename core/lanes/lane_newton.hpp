@@ -237,7 +237,7 @@ LANE_INLINE void eliminate_newton(const Group<V>& g, const LaneJoint& j, V e, V 
 
 template <class V>
 inline void factor_newton(const Group<V>& g) {
-  const V e = load<V>(g.work->he + g.offset), turn = load<V>(g.work->he_turn + g.offset);
+  const V e = load<V>(g.work->he + g.first()), turn = load<V>(g.work->he_turn + g.first());
   for (int i = g.tree->joints - 1; i >= 0; --i) {
     const LaneJoint& j = g.tree->joint[i];
     const Inertia<V> own = own_inertia<V>(j);

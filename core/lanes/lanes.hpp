@@ -138,23 +138,32 @@ struct LaneKernel {
   // be Y. At most 8 inner ones; a width that is a multiple of 8; X and Y aligned to 64 bytes.
   void (*subtract_product)(int rows, int inner, int width, const double* A, int stride, const double* X, double* Y,
                            bool anew);
-  // iterate() for runs with one stage each.
-  void (*iterate_runs)(const LaneTree*, const LaneWork*, int flags);
-  // dv <- (M + diagonal)^-1 dv at the given X, for runs.
-  void (*solve_runs)(const LaneTree*, const LaneWork*);
-  // For runs: numbers [row * lanes + lane], weights [lane]. out = the sum of four past ones with their weights, in that
-  // order.
-  void (*extrapolate_runs)(int rows, const double* const* past, const double* const* weight, double* out);
+};
+
+// For runs whose steps have one stage each: a run in each lane, S = lanes.
+struct RunKernel {
+  int lanes;
+  void (*iterate)(const LaneTree*, const LaneWork*, int flags);
+  void (*rates)(const LaneTree*, const LaneWork*);
+  // dv <- (M + diagonal)^-1 dv at the given X.
+  void (*solve)(const LaneTree*, const LaneWork*);
+  // Numbers [row * lanes + lane], weights [lane]. out = the sum of four past ones with their weights, in that order.
+  void (*extrapolate)(int rows, const double* const* past, const double* const* weight, double* out);
   // base and end: base + (weight rate + carry); carry and lost: what that sum loses.
-  void (*add_runs)(int rows, const double* weight, const double* rate, double* base, double* carry, double* end,
-                   double* lost);
+  void (*add)(int rows, const double* weight, const double* rate, double* base, double* carry, double* end,
+              double* lost);
 };
 
 }  // namespace contactvi
 
 extern "C" {
+// Of a single stage.
+extern const contactvi::LaneKernel contactvi_lanes_one_stage;
 // Two widths each: for up to 4 stages and for more.
 extern const contactvi::LaneKernel contactvi_lanes_base[2];
 extern const contactvi::LaneKernel contactvi_lanes_avx2[2];
 extern const contactvi::LaneKernel contactvi_lanes_avx512[2];
+extern const contactvi::RunKernel contactvi_runs_base;
+extern const contactvi::RunKernel contactvi_runs_avx2;
+extern const contactvi::RunKernel contactvi_runs_avx512;
 }

@@ -187,19 +187,20 @@ namespace {
 struct InstructionSet {
   const char* name;
   const LaneKernel* kernels;
+  const RunKernel* runs;
   bool present;
 };
 
 const std::vector<InstructionSet>& known_sets() {
   static const std::vector<InstructionSet> sets = [] {
-    std::vector<InstructionSet> all = {{"base", contactvi_lanes_base, true}};
+    std::vector<InstructionSet> all = {{"base", contactvi_lanes_base, &contactvi_runs_base, true}};
 #ifdef CONTACTVI_X86
     __builtin_cpu_init();
     const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
     const bool avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
                         __builtin_cpu_supports("avx512dq");
-    all.push_back({"avx2", contactvi_lanes_avx2, avx2});
-    all.push_back({"avx512", contactvi_lanes_avx512, avx512});
+    all.push_back({"avx2", contactvi_lanes_avx2, &contactvi_runs_avx2, avx2});
+    all.push_back({"avx512", contactvi_lanes_avx512, &contactvi_runs_avx512, avx512});
 #endif
     return all;
   }();
@@ -231,9 +232,9 @@ const InstructionSet*& chosen() {
   return set;
 }
 
-// A single stage gains nothing from lanes and runs as plain doubles everywhere.
+// A single stage gains nothing from lanes and runs as plain doubles everywhere, in a build of its own.
 const LaneKernel& of(const InstructionSet& set, int stages) {
-  if (stages == 1) return contactvi_lanes_base[0];
+  if (stages == 1) return contactvi_lanes_one_stage;
   return set.kernels[stages <= 4 ? 0 : 1];
 }
 
@@ -257,6 +258,6 @@ bool set_instruction_set(const char* name) {
 
 const LaneKernel& lane_kernel(int stages) { return of(*chosen(), stages); }
 
-const LaneKernel& run_kernel() { return chosen()->kernels[1]; }
+const RunKernel& run_kernel() { return *chosen()->runs; }
 
 }  // namespace contactvi

@@ -25,6 +25,6 @@ std::vector<const char*> instruction_sets();
 const char* instruction_set();
 bool set_instruction_set(const char* name);  // false: unknown, or not of this processor
 const LaneKernel& lane_kernel(int stages);
-const LaneKernel& run_kernel();  // for runs side by side
+const RunKernel& run_kernel();
 
 }  // namespace contactvi

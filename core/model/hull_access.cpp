@@ -2,6 +2,9 @@
 
 #include <coal/shape/convex.h>
 
+#include <memory>
+#include <vector>
+
 #include "base/error.hpp"
 
 namespace contactvi {
@@ -18,6 +21,15 @@ Polytope polytope_of(const coal::CollisionGeometry& shape) {
   for (unsigned i = 0; i < hull->num_polygons; ++i)
     for (int k = 0; k < 3; ++k) result.faces(i, k) = static_cast<int>((*hull->polygons)[i][k]);
   return result;
+}
+
+Polytope hull_of(const double* points, std::size_t count) {
+  auto copy = std::make_shared<std::vector<coal::Vec3s>>();
+  copy->reserve(count);
+  for (std::size_t i = 0; i < count; ++i) copy->emplace_back(points[3 * i], points[3 * i + 1], points[3 * i + 2]);
+  const std::unique_ptr<coal::ConvexBase> hull(
+      coal::ConvexBase::convexHull(copy, static_cast<unsigned>(count), true, "Qt"));
+  return polytope_of(*hull);
 }
 
 void set_polytope(coal::CollisionGeometry& shape, const Polytope& polytope) {

@@ -123,7 +123,7 @@ void LaneFlight::start_values(int step) {
     past[m] = before >= 0 ? at(before, StepsAhead::kV) : history_.data() + (kBefore + before) * size_;
     weights[m] = weight(m);
   }
-  lanes_->kernel_->extrapolate_runs(nv_, past, weights, at(step, StepsAhead::kV));
+  lanes_->kernel_->extrapolate(nv_, past, weights, at(step, StepsAhead::kV));
 }
 
 // The stages of a step stand where they are kept of it. On spherical joints the first iteration starts from what
@@ -157,7 +157,7 @@ long LaneFlight::iterate() {
     flags = judge_[lane].flags();
   }
   for (auto left = std::count(pending_.begin(), pending_.end(), 1); left > 0;) {
-    lanes_->kernel_->iterate_runs(&lanes_->tree_, &work_, flags);
+    lanes_->kernel_->iterate(&lanes_->tree_, &work_, flags);
     flags &= ~(kLaneFactor | kLaneFirst);
     made += left;
     done_.clear();
@@ -222,14 +222,14 @@ void LaneFlight::stop_far_turns(int step) {
 
 // StepEquations::finish, lane by lane.
 void LaneFlight::finish(int step) {
-  const LaneKernel& kernel = *lanes_->kernel_;
+  const RunKernel& kernel = *lanes_->kernel_;
   finish_balls(step);
   for (const Plain& dofs : plain_) {
     const int q = dofs.q * width_, v = dofs.v * width_;
-    kernel.add_runs(dofs.count, weight(kBefore), work_.G + v, lanes_->p0_ + v, carry_p_.data() + v,
-                    at(step, StepsAhead::kP) + v, at(step, StepsAhead::kCarryP) + v);
-    kernel.add_runs(dofs.count, weight(kBefore), work_.v + v, q_.data() + q, carry_q_.data() + q,
-                    at(step, StepsAhead::kQ) + q, at(step, StepsAhead::kCarryQ) + q);
+    kernel.add(dofs.count, weight(kBefore), work_.G + v, lanes_->p0_ + v, carry_p_.data() + v,
+               at(step, StepsAhead::kP) + v, at(step, StepsAhead::kCarryP) + v);
+    kernel.add(dofs.count, weight(kBefore), work_.v + v, q_.data() + q, carry_q_.data() + q,
+               at(step, StepsAhead::kQ) + q, at(step, StepsAhead::kCarryQ) + q);
   }
 }
 

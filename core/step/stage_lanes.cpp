@@ -101,7 +101,7 @@ void StageLanes::solve_masses(const std::vector<Stages*>& steps) {
   spread(&Stages::diagonal_, diagonal_, n);
   spread(&Stages::base_, base_, n);
   if (tree_.balls > 0) spread(&Stages::ball_base_, ball_base_, 9 * tree_.balls);
-  kernel_->solve_runs(&tree_, &work_);
+  kernel_->solve(&tree_, &work_);
   for (std::size_t lane = 0; lane < steps.size(); ++lane) get(dv_, steps[lane]->dv_, n, static_cast<int>(lane));
 }
 
@@ -136,7 +136,7 @@ void StageLanes::seat(const std::vector<Stages*>& steps) {
   std::fill(steps_.begin() + static_cast<std::ptrdiff_t>(steps.size()), steps_.end(), nullptr);
 }
 
-void StageLanes::iterate(int flags) { kernel_->iterate_runs(&tree_, &work_, flags); }
+void StageLanes::iterate(int flags) { kernel_->iterate(&tree_, &work_, flags); }
 
 void StageLanes::fetch_numbers(int lane) { get(per_stage_, steps_[lane]->per_stage_, 3, lane); }
 

@@ -47,7 +47,7 @@ class StageLanes {
 
   std::vector<LaneJoint> joints_;
   LaneTree tree_;
-  const LaneKernel* kernel_;
+  const RunKernel* kernel_;
   LaneWork work_;
   AlignedArray memory_;
   double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_;

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -102,3 +104,28 @@ def test_shapes_and_pairs_that_do_not_exist_are_refused():
         made(1, [])
     with pytest.raises(cvi.ContactviError, match="no geometries"):
         made(0, [[0, 1]])
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_the_hull_of_points_is_that_of_coal(name: str):
+    by_coal = hull(SOLIDS[name])
+    by_engine = hull_by_engine(*_core.hull_of_points(SOLIDS[name]))
+    np.testing.assert_array_equal(by_engine.points(), by_coal.points())
+    np.testing.assert_array_equal(faces_of(by_engine), faces_of(by_coal))
+    assert [by_engine.neighbors(i) for i in range(by_engine.num_points)] == [
+        by_coal.neighbors(i) for i in range(by_coal.num_points)
+    ]
+
+
+def test_hulls_that_are_made_side_by_side_are_those_made_one_after_the_other():
+    """Qhull keeps what it knows in a state of its own for each of them."""
+    solids = [random_hull(np.random.default_rng(seed), 300) for seed in range(24)]
+
+    def made(points: np.ndarray) -> list[np.ndarray]:
+        return [_core.hull_vertices(points), *_core.hull_of_points(points)]
+
+    alone = [made(points) for points in solids]
+    with ThreadPoolExecutor(4) as pool:
+        for one, other in zip(alone, pool.map(made, solids), strict=True):
+            for array, same in zip(one, other, strict=True):
+                np.testing.assert_array_equal(array, same)

@@ -1,0 +1,7 @@
+// Four runs, whose steps have one stage each.
+#define CONTACTVI_ONE_STAGE
+#include "kernel.hpp"
+
+extern "C" {
+extern const contactvi::RunKernel contactvi_runs_avx2 = run_kernel<V4>();
+}
