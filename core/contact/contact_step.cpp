@@ -205,8 +205,8 @@ void ContactStep::set_row_velocities(double h) {
   }
 }
 
-// The forces of the rows from which a step starts that follows on no other: half of those of the last step, which belong
-// to both its impulses.
+// The forces of the rows from which a step starts that follows on no other: half of those of the last step, which
+// belong to both its impulses.
 void ContactStep::start_forces() {
   start_forces_.resize(rows_);
   for (std::size_t i = 0; i < contacts_.size(); ++i)

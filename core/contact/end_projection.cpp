@@ -260,11 +260,13 @@ bool ContactStep::rim_turns_far() const {
 
 void ContactStep::commit() {
   guards_->place(q1_);
+  bool kink = false;  // a slip begins or ends
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     PersistentContact& persistent = contacts_[i];
     const ContactOutcome& out = outcomes_[i];
     persistent.force = (out.position_impulse + out.velocity_impulse) / h_;
     if (persistent.mu > 0.0 && persistent.point.kind != PointKind::kVertex) persistent.tangent = node1_.t1[i];
+    kink = kink || persistent.sticks == out.slips;
     persistent.sticks = !out.slips;
     persistent.slip = out.slip_W;
     if (!persistent.point.material) continue;
@@ -279,12 +281,20 @@ void ContactStep::commit() {
   for (FrictionJoint& joint : friction_joints_) {
     const bool sticks = std::abs(v1_[joint.dof]) <= still && joint.iq >= 0;
     if (sticks && !joint.anchored) joint.anchor = q1_[joint.iq];
+    kink = kink || sticks != joint.anchored;
     joint.anchored = sticks;
   }
   fixed_force_ = (lambda_.head(bilateral_ + friction_rows_) + lambda_end_.head(bilateral_ + friction_rows_)) / h_;
   v_node_ = v1_;
-  if (velocities_.empty()) velocities_.push(v_start_, 0.0);
-  velocities_.push(v_, h_);
+  // What lies before a kink says nothing about the motion after it.
+  if (kink) {
+    velocities_.clear();
+    row_forces_.clear();
+    velocities_.push(v_node_, 0.0);
+  } else {
+    if (velocities_.empty()) velocities_.push(v_start_, 0.0);
+    velocities_.push(v_, h_);
+  }
   row_forces_.push(solved_forces_, h_);
   follows_ = true;
   std::swap(node0_, node1_);

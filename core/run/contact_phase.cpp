@@ -143,9 +143,11 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   const double whole = interval.remaining / parts;
   const double h = std::min(whole, state_.control.contact.longest);
   record_phase(at, nominal, StepKind::kPersistent, recording);
-  // Adaptive contact steps are short for accuracy, which says nothing about events: each counts as its part of the step
-  // that the limit is meant for.
-  state_.dense.events.contact_parts += truncation_.bound > 0.0 ? std::min(1.0, nominal / kCountedStep) : 1.0;
+  // What counts are the steps that events cost beyond the ones asked for: a step counts as the part of it that is not
+  // taken. Adaptive contact steps are short for accuracy, which says nothing about events: each counts as its part of
+  // the step that the limit is meant for.
+  const double counts = truncation_.bound > 0.0 ? std::min(1.0, nominal / kCountedStep) : 1.0;
+  state_.dense.events.contact_parts += counts;
   contact_step_.set_nominal(nominal);
   double alpha = 1.0;
   bool hit = false, again = false;
@@ -170,6 +172,7 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     state_.work.add(contact_step_);
     if (options_.gradient) keep_contact_step(h == whole ? 1.0 / parts : 0.0, hit, alpha < 1.0);
     accept_contact_step(at, taken, options_.dense, recording);
+    state_.dense.events.contact_parts -= counts * std::min(1.0, taken / std::min(nominal, interval.length));
     interval.done += taken;
     interval.remaining =
         alpha >= 1.0 && h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;

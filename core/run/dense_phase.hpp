@@ -14,7 +14,7 @@ enum class ContactSteps : int {
 struct EventCount {
   double coupled_impacts = 0;  // at instants with several closed contacts
   double changes = 0;          // begins and releases of persistent contacts
-  double contact_parts = 0;    // partial steps with persistent contacts
+  double contact_parts = 0;    // steps with persistent contacts beyond those asked for
   int contact_halvings = 0;    // of steps with persistent contacts that were not solved, in the interval under way
 
   bool none() const { return coupled_impacts + changes + contact_parts + contact_halvings == 0.0; }

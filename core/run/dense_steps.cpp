@@ -22,7 +22,7 @@ constexpr double kCounted = 1e-3;                                 // [s]
 constexpr double kMemory = 5e-2;                                  // [s] after which half of a count is forgotten
 constexpr double kCoupledImpacts = 1024, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
 constexpr double kChanges = 3072, kChangesPerContact = 4;         // begins and releases of persistent contacts
-constexpr double kContactParts = 1024;                            // parts of steps with persistent contacts
+constexpr double kContactParts = 1024;  // steps with persistent contacts beyond those asked for
 constexpr double kRescues = 2000;  // sum of the squares of the rows of contact problems in which slow methods are tried
 // Larger islands have lower limits, as the square of their degrees of freedom: an event costs that much more there.
 constexpr double kSmall = 24;

@@ -160,8 +160,8 @@ template <class Archive>
 void fields(Archive& a, ContactStep::Memory& x) {
   auto& [contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities,
          row_forces, p1, contraction, nominal_h, follows] = x;
-  values(a, contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities, row_forces,
-         p1, contraction, nominal_h, follows);
+  values(a, contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities,
+         row_forces, p1, contraction, nominal_h, follows);
 }
 
 template <class Archive>

@@ -26,8 +26,8 @@ struct StepLength {
 double step_length_within(double h, double nominal);
 
 struct StepControl {
-  // Part of a nominal step to which steps are halved. Events that come sooner after each other count as ones at the same
-  // instant where they make no impact: rounding of places may let them follow each other for ever.
+  // Part of a nominal step to which steps are halved. Events that come sooner after each other count as ones at the
+  // same instant where they make no impact: rounding of places may let them follow each other for ever.
   static constexpr double kShortest = 1e-6;
 
   StepLength free, contact;

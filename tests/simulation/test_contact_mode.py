@@ -120,6 +120,19 @@ def test_a_bouncing_ball_never_takes_a_dense_step():
     assert set(traj.phases["kind"]) == {"free", "persistent"}
 
 
+def test_short_steps_alone_are_no_reason_for_dense_ones():
+    """Twice as many steps with a persistent contact as events may cost, none of which an event has cut."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("box", size=(0.1, 0.1, 0.1), placement=(0.0, 0.0, 0.05))
+    scene.set_contact(restitution=0.0, friction=0.1)
+    v0 = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    traj = cvi.simulate(scene, v0=v0, duration=0.004, dt=2e-6)
+    assert len(traj.dense_steps) == 0
+    assert traj.ledger.persistent.sum() >= 1990
+    np.testing.assert_allclose(traj.q[-1, 0], 0.5 * 0.004 - 0.5 * 0.981 * 0.004**2, rtol=1e-6)
+
+
 def test_phases_are_those_of_the_dense_steps(heap):
     """A time lies in a dense phase where it lies in a dense step, and the words are those of the numbers."""
     phases, steps = heap.phases, heap.dense_steps
