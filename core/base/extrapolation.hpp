@@ -29,7 +29,7 @@ class Extrapolation {
   void recall(const History& history);
 
  private:
-  static constexpr int kMost = 4;  // vectors kept
+  static constexpr int kMost = 6;  // vectors kept
 
   // The times of the vectors kept, from the middle of the next step of length h on [steps backwards, negative].
   void times(double h, double* t) const;

@@ -44,7 +44,7 @@ double root_by_rate(double low, double high, double x, double target, int max_ev
 // (Dowell, Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11, 1971), with a
 // bisection every eighth time. Beyond the root the function may be -infinity, which tells the side alone: as long as
 // nothing else is known there, lines through the last two points before the root alternate with bisections. Ends where
-// 0 <= value <= small, or where the bracket is narrower than width; the function has then been evaluated last at the
+// |value| <= small, or where the bracket is narrower than width; the function has then been evaluated last at the
 // root. value(x, fx) sets fx, and is false where the function cannot be evaluated: the search then ends with false.
 template <class Value>
 bool root_by_value(double low_value, double high, double high_value, double small, double width, int max_evaluations,
@@ -62,6 +62,7 @@ bool root_by_value(double low_value, double high, double high_value, double smal
     double fx = 0.0;
     if (!value(x, fx)) return false;
     root = x;
+    if (std::abs(fx) <= small) return true;
     if (fx < 0.0) {
       b = x;
       fb = fx;
@@ -72,7 +73,6 @@ bool root_by_value(double low_value, double high, double high_value, double smal
       f_before = fa;
       a = x;
       fa = fx;
-      if (fx <= small) return true;
       if (side > 0) fb *= 0.5;
       side = 1;
     }

@@ -90,11 +90,13 @@ bool ContactStep::force_problem(VecX& value) {
 }
 
 bool ContactStep::persistent_forces(const VecX& tau, VecX& value) {
+  shows_part_ = false;
   force_cones_.resize(friction_rows_ + contacts_.size());
   return accelerations(q1_, v1_, tau) && force_problem(value);
 }
 
 bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value) {
+  shows_part_ = false;
   start_node(q);
   force_cones_.resize(friction_rows_ + contacts_.size());
   q1_ = q;

@@ -23,6 +23,7 @@ constexpr double kShortRim = 1e-9, kShort = 1e-5;    // of a nominal step; see c
 constexpr double kStalled = 1e3;                     // of the convergence limit: iterations that stall below it end
 constexpr int kIdle = 4;                             // iterations without gain that count as a stall
 constexpr double kBest = 1e-4;                       // smallest contraction rate that is assumed
+constexpr double kRemembered = 10.0;                 // times the contraction seen in an earlier step: that of this one
 constexpr double kSameTime = 1e-13;                  // of 1 s + t: times that differ less are equal
 constexpr double kSettled = 1e-3;                    // relative change of v from which on the contact matrix is kept
 }  // namespace
@@ -277,8 +278,8 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     const double floor = std::max(kRounding, noise) * size, most_left = std::max(kRounding, kShare * noise) * size;
     settled = change < kSettled * size;
     // The change of the next iteration is estimated by the contraction rate, at first by that of an earlier step.
-    if (k > 0) contraction_ = change / last;
-    const double theta = std::max(kBest, contraction_);
+    if (k == 1) note_contraction(change, last, floor);
+    const double theta = k > 0 ? std::max(kBest, change / last) : kRemembered * std::max(kBest, contraction_);
     last = change;
     const bool accepted = residual_ <= kAccept;
     if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= most_left))) {
@@ -296,6 +297,15 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
   why_ = "the step with persistent contacts does not converge";
   if (node1_.known) constraints_met(h, false);
   return false;
+}
+
+// The second iteration of a step has made a change, the first one has made another one. Where the second is of the size
+// of rounding it shows a bound on the contraction alone.
+void ContactStep::note_contraction(double second, double first, double rounding) {
+  if (second > kStalled * rounding)
+    contraction_ = second / first;
+  else
+    contraction_ = std::min(contraction_, std::max(second, rounding) / first);
 }
 
 // A (ContactOutcome::paradox) of the contacts that slip at the start of the step; only of pairs with one point, because
@@ -339,16 +349,46 @@ bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const Ve
   start_joint_friction(v_start_);
   h_ = h;
   ++counters.steps;
-  return iterate(q0, p0, h, tau, guess_) && velocity_impulses();
+  forget_parts();
+  if (!iterate(q0, p0, h, tau, guess_) || !velocity_impulses()) return false;
+  part_velocities_.add(0.0, v_start_);
+  note_part();
+  return true;
+}
+
+void ContactStep::forget_parts() {
+  part_velocities_.clear();
+  part_forces_.clear();
+  shows_part_ = false;
+}
+
+// The part just solved, from which others start.
+void ContactStep::note_part() {
+  part_velocities_.add(h_, v_);
+  part_forces_.add(h_, solved_forces_);
+  shows_part_ = true;
 }
 
 bool ContactStep::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0,
                              const VecX& tau) {
   why_ = "";
-  h_ = alpha * path.h();
-  path.velocity(0.5 * alpha, guess_);
-  start_forces_ = solved_forces_;
-  return iterate(q0, p0, h_, tau, guess_) && velocity_impulses();
+  const double h = alpha * path.h();
+  if (shows_part_ && h == h_) return true;
+  h_ = h;
+  shows_part_ = false;
+  bool solved = false;
+  if (!part_forces_.empty()) {
+    part_velocities_.value(h, guess_);
+    part_forces_.value(h, start_forces_);
+    solved = iterate(q0, p0, h, tau, guess_) && velocity_impulses();
+  }
+  if (!solved) {
+    path.velocity(0.5 * alpha, guess_);
+    start_forces_ = solved_forces_;
+    solved = iterate(q0, p0, h, tau, guess_) && velocity_impulses();
+  }
+  if (solved) note_part();
+  return solved;
 }
 
 void ContactStep::finish(VecRef q1, VecRef p1) {
@@ -358,7 +398,10 @@ void ContactStep::finish(VecRef q1, VecRef p1) {
 
 bool ContactStep::node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) {
   const bool at_start = node0_.known && q == node0_.q && p == p_given_;
-  if (!at_start) return integrator_.node_velocity(q, p, v);
+  if (!at_start) {
+    shows_part_ = false;
+    return integrator_.node_velocity(q, p, v);
+  }
   v = v_start_;
   return true;
 }

@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "base/extrapolation.hpp"
+#include "base/interpolation.hpp"
 #include "base/reduction.hpp"
 #include "cone/solver.hpp"
 #include "contact/contact_step_record.hpp"
@@ -57,6 +58,7 @@ class ContactStep final : public Stepper {
     node0_.known = follows_ = false;
     velocities_.clear();
     row_forces_.clear();
+    forget_parts();
     contraction_ = 1.0;
   }
 
@@ -194,7 +196,10 @@ class ContactStep final : public Stepper {
                   const Vec3& t1) const;
   Vec3 position_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
+  void note_contraction(double second, double first, double rounding);
   void start_forces();
+  void forget_parts();
+  void note_part();
   void set_initial_impulses(double h);
   void set_row_velocities(double h);
   bool counts_by_rate(const PersistentContact& persistent, double h) const;
@@ -244,7 +249,10 @@ class ContactStep final : public Stepper {
   // Of the last steps, one after the other: the velocities in their middle, and the position impulses of all rows over
   // their length [N; N m].
   Extrapolation velocities_, row_forces_;
-  double contraction_ = 1.0;  // the last one measured, of iterations on steps with these contacts; 1: unknown
+  // Of the parts of the step under way that were solved, by their lengths [s], the same.
+  Interpolation part_velocities_, part_forces_;
+  bool shows_part_ = false;  // all results are those of the part of length h_
+  double contraction_ = 1.0;  // of the first iteration of a step with these contacts, as seen last; 1: unknown
   VecX start_forces_, solved_forces_;  // of the rows: those from which iterations start, and to which they have led
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
   const char* why_ = "";

@@ -260,6 +260,7 @@ bool ContactStep::rim_turns_far() const {
 
 void ContactStep::commit() {
   guards_->place(q1_);
+  forget_parts();
   bool kink = false;  // a slip begins or ends
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     PersistentContact& persistent = contacts_[i];
