@@ -11,11 +11,12 @@ namespace contactvi {
 
 class Extrapolation {
  public:
-  // What it knows. Of the vectors, the first of `count` columns is the newest one.
+  // What it knows of `count` vectors, the newest one first: the lengths of their steps, and the divided differences of
+  // Newton's polynomial, of which column k is that of the first k + 1 vectors.
   struct History {
     int count = 0, degree = 0;
     VecX lengths;
-    MatX values;
+    MatX differences;
   };
 
   bool empty() const { return known_.count == 0; }
@@ -35,7 +36,7 @@ class Extrapolation {
   void times(double h, double* t) const;
 
   History known_;  // arrays of kMost entries, of which `count` are used
-  VecX predicted_;
+  VecX off_, newer_, older_;  // workspace of push
 };
 
 }  // namespace contactvi

@@ -152,8 +152,8 @@ void fields(Archive& a, ContactStep::FrictionJoint& x) {
 
 template <class Archive>
 void fields(Archive& a, Extrapolation::History& x) {
-  auto& [count, degree, lengths, values_kept] = x;
-  values(a, count, degree, lengths, values_kept);
+  auto& [count, degree, lengths, differences] = x;
+  values(a, count, degree, lengths, differences);
 }
 
 template <class Archive>
