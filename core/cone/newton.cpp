@@ -210,6 +210,8 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
       if (residual_ > before) {
         std::copy_n(product_.data(), problem.b.size(), lambda);
         residual_ = before;
+        map.velocity(problem, lambda, w_.data());
+        map.evaluate(problem, lambda, w_.data());
       }
       break;
     }
