@@ -191,6 +191,13 @@ bool ImpactSequence::leaves_friction_cone(const ClosedGuard& closed, const VecX&
   return false;
 }
 
+// Whether impulses on the points of a contact change the velocities there by rounding alone: those of contacts that take
+// part in an impact of others, which does not reach them.
+bool ImpactSequence::is_rounding(const ClosedGuard& closed, const VecX& lambda) const {
+  const auto W = closed.W.leftCols(closed.rows), MinvW = closed.MinvW.leftCols(closed.rows);
+  return (W.transpose() * (MinvW * lambda)).cwiseAbs().maxCoeff() <= kFloor * speeds_;
+}
+
 bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Instant& at, VecX& p,
                                        Recording& recording) {
   std::vector<BlockMember> members{{&closed, e}};
@@ -208,7 +215,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
     int row = 0;
     for (std::size_t j = 0; j < k; ++j) row += members[j].closed->rows;
     const VecX lambda = block.lambda.segment(row, support.rows);
-    if (lambda.isZero(0)) continue;
+    if (is_rounding(support, lambda)) continue;
     p = p_minus + support.W.leftCols(support.rows) * lambda;
     ImpactResult result;
     result.impulse = lambda.sum();
@@ -267,7 +274,7 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
       after = std::min(after, block.gamma_plus[row + m * i]);
     }
     row += c.rows;
-    if (lambda.isZero(0)) continue;
+    if (is_rounding(c, lambda)) continue;
     acted = true;
     const VecX p_minus = p;
     p += c.W.leftCols(c.rows) * lambda;

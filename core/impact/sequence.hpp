@@ -86,6 +86,7 @@ class ImpactSequence {
   bool add_unused_point(const VecX& p);
   bool find_fastest(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic, ClosedGuard*& worst);
   bool impact_at_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
+  bool is_rounding(const ClosedGuard& closed, const VecX& lambda) const;
   bool impact_of_contact(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool plastic_impact(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
                       Recording& recording);
