@@ -60,7 +60,7 @@ def compare(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, names: list[str], **
         values = scene.parameter(name)
         for k, value in enumerate(values):
             found = []
-            for step in (2e-4 * max(abs(value), 0.1), 1e-4 * max(abs(value), 0.1)):
+            for step in (4e-4 * max(abs(value), 0.1), 2e-4 * max(abs(value), 0.1)):
                 total = np.zeros(2 * scene.nv)
                 for count, weight in FOURTH:
                     changed = scene.with_parameters({name: values + count * step * np.eye(len(values))[k]})
