@@ -262,8 +262,8 @@ def test_contact_step_is_of_order_two(name):
     assert np.abs(laws.orders(errors) - 2.0).max() <= 0.1, errors
 
 
-# Contact iterations of 20 steps of 0.01 s and of 200 steps of 0.001 s. Of the first step nothing is known before, and in
-# the longer steps two are needed: what the first one leaves of the extrapolation's error is above rounding.
+# Contact iterations of 20 steps of 0.01 s and of 200 steps of 0.001 s. Of the first step nothing is known before, and
+# in the longer steps two are needed: what the first one leaves of the extrapolation's error is above rounding.
 SMOOTH_STEPS = {"ball on a ball, rolling": (42, 220), "ladder": (42, 300), "tipping": (42, 360)}
 
 
