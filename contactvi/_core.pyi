@@ -482,7 +482,7 @@ def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3)
     Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.
     """
 
-def hull_of_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple:
+def hull_of_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]]:
     """
     Vertices (n, 3) and triangles (m, 3) of the hull that coal makes of points, which must have a volume.
     """

@@ -35,7 +35,7 @@ class Extrapolation {
   // The times of the vectors kept, from the middle of the next step of length h on [steps backwards, negative].
   void times(double h, double* t) const;
 
-  History known_;  // arrays of kMost entries, of which `count` are used
+  History known_;             // arrays of kMost entries, of which `count` are used
   VecX off_, newer_, older_;  // workspace of push
 };
 

@@ -41,7 +41,7 @@ IntVec vertices_of(const Points& points) {
   return result;
 }
 
-nb::tuple hull_of_points(const Points& points) {
+nb::typed<nb::tuple, decltype(Polytope::vertices), decltype(Polytope::faces)> hull_of_points(const Points& points) {
   const int count = count_of(points);
   const Polytope hull = [&] {
     const nb::gil_scoped_release release;

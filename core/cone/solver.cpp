@@ -131,8 +131,8 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
   return false;
 }
 
-// Takes away what Newton's method leaves of the impulses of contacts that the law opens: it is less than the solution is
-// accurate to, but an impulse says that a contact is closed.
+// Takes away what Newton's method leaves of the impulses of contacts that the law opens: it is less than the solution
+// is accurate to, but an impulse says that a contact is closed.
 void ConeSolver::open(const ConeProblem& problem, double* lambda) const {
   for (std::size_t i = 0; i < problem.contacts.size(); ++i) {
     const ConeContact& c = problem.contacts[i];

@@ -12,7 +12,7 @@ constexpr int kMaxIterations = 40;
 constexpr double kRounding = 1e-14;  // of the velocities: converged
 // [m] of gaps, of those to cylinders and ellipsoids, and of constraints; divided by the step it is a velocity
 constexpr double kGapRounding = 2e-16, kLargerRounding = 1e-15;
-constexpr double kShare = 0.1;             // of what rounding of gaps makes: iterations leave no more of the velocities
+constexpr double kShare = 0.1;            // of what rounding of gaps makes: iterations leave no more of the velocities
 constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking points disagree
 // Residual of a cone problem that counts as solved: while the iterations go on, and when they have settled. Redundant
 // rows agree only as far as the iterations have come; better impulses would press the points of a body against each

@@ -251,8 +251,8 @@ class ContactStep final : public Stepper {
   Extrapolation velocities_, row_forces_;
   // Of the parts of the step under way that were solved, by their lengths [s], the same.
   Interpolation part_velocities_, part_forces_;
-  bool shows_part_ = false;  // all results are those of the part of length h_
-  double contraction_ = 1.0;  // of the first iteration of a step with these contacts, as seen last; 1: unknown
+  bool shows_part_ = false;            // all results are those of the part of length h_
+  double contraction_ = 1.0;           // of the first iteration of a step with these contacts, as seen last; 1: unknown
   VecX start_forces_, solved_forces_;  // of the rows: those from which iterations start, and to which they have led
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
   const char* why_ = "";

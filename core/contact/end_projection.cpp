@@ -229,8 +229,20 @@ ContactStepRecord ContactStep::record() const {
 }
 
 ContactStep::Memory ContactStep::memory() const {
-  return {contacts_, outcomes_, node0_, reference_positions_, friction_joints_, fixed_force_, v_node_, v1_,
-          velocities_.history(), row_forces_.history(), p1_, contraction_, nominal_h_, follows_};
+  return {contacts_,
+          outcomes_,
+          node0_,
+          reference_positions_,
+          friction_joints_,
+          fixed_force_,
+          v_node_,
+          v1_,
+          velocities_.history(),
+          row_forces_.history(),
+          p1_,
+          contraction_,
+          nominal_h_,
+          follows_};
 }
 
 void ContactStep::recall(const Memory& memory) {

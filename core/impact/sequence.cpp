@@ -191,8 +191,8 @@ bool ImpactSequence::leaves_friction_cone(const ClosedGuard& closed, const VecX&
   return false;
 }
 
-// Whether impulses on the points of a contact change the velocities there by rounding alone: those of contacts that take
-// part in an impact of others, which does not reach them.
+// Whether impulses on the points of a contact change the velocities there by rounding alone: those of contacts that
+// take part in an impact of others, which does not reach them.
 bool ImpactSequence::is_rounding(const ClosedGuard& closed, const VecX& lambda) const {
   const auto W = closed.W.leftCols(closed.rows), MinvW = closed.MinvW.leftCols(closed.rows);
   return (W.transpose() * (MinvW * lambda)).cwiseAbs().maxCoeff() <= kFloor * speeds_;

@@ -38,7 +38,7 @@ class ContactChangeFinder {
   int stuck_ = -1;
   int releasing_ = -1, sticking_ = -1;  // contacts that the root searches look at; slips are numbered as the step does
   int sticks_located_ = 0;
-  double solved_ = 0.0;  // the fraction of the step at which remaining_slip has solved it last
+  double solved_ = 0.0;            // the fraction of the step at which remaining_slip has solved it last
   std::vector<int> ending_slips_;  // slips that end in the step
   VecX forces_;
 };
