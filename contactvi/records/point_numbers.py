@@ -6,14 +6,16 @@ that is the same from step to step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 FEW = 256  # rows up to which a loop takes less time than sorting arrays, by a factor of two and more
+_KEY = ("kind", "index", "point")  # columns that tell points apart
 Columns = Mapping[str, NDArray[Any]]
+Rows = Sequence[tuple[Columns, NDArray[np.float64]]]  # parts of what the engine reported, with their times [s]
 
 
 class PointNumbers:
@@ -38,10 +40,7 @@ class PointNumbers:
         # At one instant changes come first: a contact begins before the step that it takes part in.
         parts = [(changes, "time"), (contacts, "t")]
         rows = [(part, part[time]) for part, time in parts if part is not None and len(part[time])]
-        short = self._short(
-            np.concatenate([np.column_stack([part[name] for name in ("kind", "index", "point")]) for part, _ in rows]),
-            np.concatenate([time for _, time in rows]),
-        ) if rows else np.zeros(0, dtype=np.int64)  # fmt: skip
+        short = self._few(rows) if sum([len(time) for _, time in rows]) <= FEW else self._many(rows)
         of_changes = 0 if changes is None else len(changes["time"])
         if changes is not None:
             changes = {**changes, "point": short[:of_changes]}
@@ -49,13 +48,22 @@ class PointNumbers:
             contacts = {**contacts, "point": short[of_changes:], "feature": contacts["point"]}
         return contacts, changes
 
-    def _short(self, keys: NDArray[np.int64], time: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the numbers (m,) of points (m, 3), which appear at these times (m,) [s], at one instant in order."""
-        if len(keys) <= FEW:
-            few, points = [0] * len(keys), keys.tolist()
-            for k in np.argsort(time, kind="stable").tolist():
-                few[k] = self._of(*points[k])
-            return np.array(few, dtype=np.int64)
+    def _few(self, rows: Rows) -> NDArray[np.int64]:
+        """Return the numbers of points, those of one instant in their order."""
+        points: list[tuple[int, int, int]] = []
+        times: list[float] = []
+        for part, time in rows:
+            points += zip(*[part[name].tolist() for name in _KEY], strict=True)
+            times += time.tolist()
+        short = [0] * len(points)
+        for k in sorted(range(len(points)), key=times.__getitem__):
+            short[k] = self._of(*points[k])
+        return np.array(short, dtype=np.int64)
+
+    def _many(self, rows: Rows) -> NDArray[np.int64]:
+        """Return the same as `_few`, by sorting arrays."""
+        keys = np.concatenate([np.column_stack([part[name] for name in _KEY]) for part, _ in rows])
+        time = np.concatenate([time for _, time in rows])
         guard = keys[:, 1] * 2 + keys[:, 0]
         feature, of_feature = np.unique(keys[:, 2], return_inverse=True)
         _, of_point = np.unique(guard * len(feature) + of_feature.reshape(-1), return_inverse=True)
