@@ -133,7 +133,7 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
 
 // Takes away what Newton's method leaves of the impulses of contacts that the law opens: it is less than the solution
 // is accurate to, but an impulse says that a contact is closed.
-void ConeSolver::open(const ConeProblem& problem, double* lambda) const {
+void ConeSolver::clear_open(const ConeProblem& problem, double* lambda) const {
   for (std::size_t i = 0; i < problem.contacts.size(); ++i) {
     const ConeContact& c = problem.contacts[i];
     if (c.box > 0.0 || map_.mode(static_cast<int>(i)).closed) continue;
@@ -175,7 +175,7 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     result_.residual = std::numeric_limits<double>::infinity();
     std::fill_n(best_.data(), m, 0.0);
     attempt(problem, regularize, lambda.data());
-    if (newton_.residual() <= kConeTolerance) open(problem, lambda.data());
+    if (newton_.residual() <= kConeTolerance) clear_open(problem, lambda.data());
     result_.ok = keep_better(lambda.data(), m);
     if (!(result_.residual <= std::max(problem.accept, kConeTolerance)) && may_rescue(m))
       result_.ok = rescue(problem, regularize, lambda.data());

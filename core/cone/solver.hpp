@@ -39,7 +39,7 @@ class ConeSolver {
   bool attempt(const ConeProblem& problem, bool regularize, double* lambda);
   bool may_rescue(int rows);
   bool rescue(const ConeProblem& problem, bool regularize, double* lambda);
-  void open(const ConeProblem& problem, double* lambda) const;
+  void clear_open(const ConeProblem& problem, double* lambda) const;
   static void keep_in_cones(const ConeProblem& problem, double* lambda);
   bool keep_better(double* lambda, int rows);
 

@@ -260,6 +260,7 @@ void ContactStep::recall(const Memory& memory) {
   row_forces_.recall(memory.row_forces);
   p1_ = memory.p1;
   contraction_ = memory.contraction;
+  forget_parts();
   nominal_h_ = memory.nominal_h;
   follows_ = memory.follows;
 }

@@ -59,7 +59,7 @@ def compare(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, names: list[str], **
     for name in names:
         values = scene.parameter(name)
         for k, value in enumerate(values):
-            found = []
+            found = []  # steps at which what runs differ by through rounding, 1e-12, is less than 1e-8 of a column
             for step in (4e-4 * max(abs(value), 0.1), 2e-4 * max(abs(value), 0.1)):
                 total = np.zeros(2 * scene.nv)
                 for count, weight in FOURTH:
