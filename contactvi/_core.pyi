@@ -132,6 +132,10 @@ class PointKind(enum.IntEnum):
 
     EDGE = 4
 
+    END = 5
+
+    RIM_LINE = 6
+
 class ConstraintKind(enum.Enum):
     """What a constraint holds; core/model/constraints.hpp has the residuals."""
 

@@ -74,7 +74,9 @@ void expose_contact_enums(nb::module_& m) {
       .value("VERTEX", PointKind::kVertex)
       .value("RIM", PointKind::kRim)
       .value("LIMIT", PointKind::kLimit)
-      .value("EDGE", PointKind::kEdge);
+      .value("EDGE", PointKind::kEdge)
+      .value("END", PointKind::kEnd)
+      .value("RIM_LINE", PointKind::kRimLine);
 }
 
 }  // namespace

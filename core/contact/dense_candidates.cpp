@@ -77,7 +77,22 @@ void DenseCandidates::add_points(const Near& near, const std::vector<DenseImpuls
     guards_->manifolds().find(near.guard, guards_->placements(), near.witness0, margin, points_);
   }
   for (const ContactPoint& point : points_) add(point, frozen(point, near.witness0), near, impulses);
+  if (!scene_->is_pair(near.guard)) return;
   add_rims(near, impulses);
+  add_ends(near, impulses);
+}
+
+// Lines that are nearly parallel may touch at either end within the step.
+void DenseCandidates::add_ends(const Near& near, const std::vector<DenseImpulse>& impulses) {
+  points_.clear();
+  guards_->manifolds().find_ends(near.guard, guards_->placements(), std::max(near.gap0, 0.0) + near.reach, points_);
+  for (const ContactPoint& end : points_) {
+    const bool known = std::any_of(contacts_.begin(), contacts_.end(), [&](const DenseContact& c) {
+      return c.point.guard == near.guard && c.law.kind == PointKind::kEnd && c.law.on_b == end.on_b &&
+             (c.law.center_B - end.center_B).squaredNorm() < kSamePoint * kSamePoint;
+    });
+    if (!known) add(end, end, near, impulses);
+  }
 }
 
 // A rim that is nearly flat may touch all around within the step: material points at its quarters join the lowest one.

@@ -74,6 +74,7 @@ class DenseCandidates {
   double allowed(double gap0) const;
   bool is_near(int guard, Near& near);
   void add_points(const Near& near, const std::vector<DenseImpulse>& impulses);
+  void add_ends(const Near& near, const std::vector<DenseImpulse>& impulses);
   void add_rims(const Near& near, const std::vector<DenseImpulse>& impulses);
   void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
   ContactPoint frozen(const ContactPoint& point, const Contact& witness) const {

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "geometry/line_contact.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -141,7 +143,7 @@ void edges_near(const ShapeFeatures& o, int face, int vertex, std::vector<int>& 
   if (vertex >= 0)
     for (int e : o.vertex_edges[vertex])
       if (std::find(list.begin(), list.begin() + ring, e) == list.begin() + ring) list.push_back(e);
-  if (o.vertices.empty() && o.edges.size() == 1) list.push_back(0);
+  if (o.edges.size() == 1 && list.empty()) list.push_back(0);
 }
 
 // How far n lies outside of the arc of normals of an edge [rad], both in one frame and n orthogonal to the edge.
@@ -155,13 +157,16 @@ double outside_arc(const ShapeFeatures& o, const ShapeFeatures::Edge& e, const V
 void edges_across(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {
   edges.lines_b.clear();
   for (int j : edges.b) edges.lines_b.push_back(line_of(*v.b, v.pose_b, j));
+  // Of two capsules the nearest points are known without their crossing.
+  const bool cross = !v.a->faces.empty() || !v.b->faces.empty();
   Crossing c;
   for (int i : edges.a) {
     const Line a = line_of(*v.a, v.pose_a, i);
     for (std::size_t k = 0; k < edges.b.size(); ++k) {
       const Line& b = edges.lines_b[k];
       const int j = edges.b[k];
-      if (!cross_lines(a, b, sides.n_W, kBorder, c)) continue;
+      list_line_ends(v, i, a, j, b, upcoming, sink);
+      if (!cross || are_flat(a, b) || !cross_lines(a, b, sides.n_W, kBorder, c)) continue;
       const bool over = c.beyond <= kBorder;
       if (!upcoming && !over) continue;
       // Beyond the flat ends of a lying cylinder the height of its axis has no meaning.

@@ -20,6 +20,10 @@ enum class Feature : std::uint8_t {
   kRimPointA = 7,
   kRimSideB = 8,  // where rim i of b crosses the side ring[j / 2] of a polygon of a; j odd: the second time
   kRimSideA = 9,
+  kEndB = 10,  // an end of edge i / 2 of b over edge j of a that lies along it; i odd: the end that is not its start
+  kEndA = 11,
+  kRimLineB = 12,  // rim i / 2 of b against edge j of a; i odd: the second place where they are nearest
+  kRimLineA = 13,
 };
 
 // Material points of one rim; point k of rim i is number i * kRimPoints + k.
@@ -39,6 +43,10 @@ inline std::int64_t rim_quarter(std::int64_t lowest, int quarter) {
   const Feature kind = feature_on_b(lowest) ? Feature::kRimPointB : Feature::kRimPointA;
   return feature_number(kind, feature_i(lowest) * kRimPoints + quarter * (kRimPoints / 4), feature_j(lowest));
 }
+
+// Whether an end of a line, or a rim, lies over a line.
+inline bool is_end(Feature f) { return f == Feature::kEndA || f == Feature::kEndB; }
+inline bool is_rim_line(Feature f) { return f == Feature::kRimLineA || f == Feature::kRimLineB; }
 
 int feature_rim(std::int64_t n);  // the cylinder's rim that it belongs to, -1: none
 

@@ -216,8 +216,8 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   place_pair(guard);
-  // Coal inflates cylinders by 1e-10 of their size where they stand or lie along the normal.
-  if (a.unbounded != b.unbounded && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
+  const bool without_coal = a.unbounded != b.unbounded || manifolds_.has_capsules(guard);
+  if (without_coal && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
   const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
   distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
   contact.body_a = a.body;

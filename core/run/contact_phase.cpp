@@ -15,6 +15,7 @@ namespace contactvi {
 namespace {
 constexpr double kShortestSwing =
     1e-9;                              // of a contact step: they are halved down to this where a rim falls nearly flat
+constexpr double kShortestRun = 1.0 / 64;  // the same, where a point runs along lines and dense steps can be taken
 constexpr double kCountedStep = 1e-3;  // [s]
 constexpr double kAtStart = 1e-10;     // of a contact step: an event that is earlier is at its start
 constexpr double kEnergyRounding = 1e-12;  // of the energies
@@ -22,7 +23,11 @@ constexpr double kEnergyRounding = 1e-12;  // of the energies
 
 bool Simulator::retry_contact_step(double h, double time) {
   if (user_function_failed(time)) return false;
-  const bool shortest = h < (contact_step_.rim_turns_far() ? kShortestSwing : StepControl::kShortest) * current_dt();
+  const bool runs = contact_step_.rim_turns_far() || contact_step_.runs_along_lines();
+  const bool impact = contact_step_.runs_along_lines() && allows_dense_steps() && h <= kShortestRun * contact_dt();
+  if (impact)
+    return end(StatusCode::kEventUnresolved, time, "a contact runs from end to end of two lines, which is an impact");
+  const bool shortest = h < (runs ? kShortestSwing : StepControl::kShortest) * current_dt();
   if (shortest && contact_step_.violated_constraint() >= 0)
     return end(StatusCode::kConstraint, time,
                "the constraints cannot be met, first " +
@@ -31,7 +36,7 @@ bool Simulator::retry_contact_step(double h, double time) {
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with persistent contacts was not solved: ") +
                    (*contact_step_.why() != 0 ? contact_step_.why() : "an event in it was not located"));
-  state_.dense.events.contact_halvings += contact_step_.rim_turns_far() ? 0 : 1;
+  state_.dense.events.contact_halvings += runs ? 0 : 1;
   state_.control.halve_contact(h);
   contact_step_.invalidate();
   return true;
@@ -93,7 +98,8 @@ bool Simulator::first_contact_change(const Interval& interval, double h, double&
       again = true;
     }
   }
-  return alpha <= 0.0 || !contact_step_.rim_turns_far() || h <= kShortestSwing * contact_dt();
+  const bool runs = contact_step_.rim_turns_far() || contact_step_.runs_along_lines();
+  return alpha <= 0.0 || !runs || h <= kShortestSwing * contact_dt();
 }
 
 // Whether the contact step just solved gains more energy than its error explains: then it is rejected. Contacts cannot

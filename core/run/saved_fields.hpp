@@ -140,8 +140,8 @@ void fields(Archive& a, ContactOutcome& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactStep::Node& x) {
-  auto& [known, t, q, phi, rate, at, t1, side, W] = x;
-  values(a, known, t, q, phi, rate, at, t1, side, W);
+  auto& [known, t, q, phi, rate, at, t1, side, along, W] = x;
+  values(a, known, t, q, phi, rate, at, t1, side, along, W);
 }
 
 template <class Archive>
