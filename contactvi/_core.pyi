@@ -119,6 +119,8 @@ class ContactChange(enum.IntEnum):
 
     INCONSISTENT = 5
 
+    OVERLAP = 6
+
 class PointKind(enum.IntEnum):
     """The geometry that a contact point comes from."""
 

@@ -269,7 +269,12 @@ class NotDifferentiable(ContactviError):
 
 
 class AccuracyWarning(UserWarning):
-    """A run with dt="auto" did not reach the accuracy asked of it; `Trajectory.error_estimate` is what it reached."""
+    """A run is less accurate than was asked or is promised.
+
+    With dt="auto" it did not reach `tol`, and `Trajectory.error_estimate` is what it reached; or bodies overlap, or the
+    energy rose, by more than what is documented as the error of a step (`Trajectory.contact_changes` with "overlap",
+    `Trajectory.dense_steps`).
+    """
 
 
 class DenseStepWarning(UserWarning):

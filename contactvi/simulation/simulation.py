@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
+from contactvi.errors import AccuracyWarning, ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
 from contactvi.inputs import callback, check_signature, flag
 from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
@@ -89,7 +89,8 @@ def simulate(
         DerivativeError: for wrong derivatives of theirs.
 
     Warns:
-        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached.
+        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached. Where bodies overlap or
+            the energy rises by more than the error of a step.
         DenseStepWarning: once, at the end, where a run with contact_mode="auto" took dense steps: their share of the
             time and their worst figures. Not with "steps", which asks for them, and not before a SimulationError, whose
             trajectory has them.
@@ -129,6 +130,7 @@ def simulate(
             raise ended_early(settings, traj.status, traj)
         if dense:
             warn_of_dense_steps(traj)
+        warn_of_broken_promises(traj)
         return traj
 
 
@@ -155,6 +157,30 @@ def warn_of_dense_steps(traj: Trajectory, stacklevel: int = 3) -> None:
         DenseStepWarning,
         stacklevel=stacklevel,
     )
+
+
+def warn_of_broken_promises(traj: Trajectory, stacklevel: int = 3) -> None:
+    """Warn where bodies overlap, or the energy rises in dense steps, by more than the error of a step."""
+    overlaps = [change for change in traj.contact_changes if change.change == "overlap"]
+    if overlaps:
+        worst = min(overlaps, key=lambda change: change.value)
+        warnings.warn(
+            f"Bodies overlap by more than is promised: {worst.pair[0]!r} and {worst.pair[1]!r} by {-worst.value:.2g} m at"
+            f" t = {worst.time:.6g} s, first at t = {overlaps[0].time:.6g} s (traj.contact_changes with 'overlap')."
+            " Smaller steps (dt, dt_contact) keep gaps better",
+            AccuracyWarning,
+            stacklevel=stacklevel,
+        )
+    rises = traj.dense_steps["energy_rise"]
+    if np.any(rises > 0.0):
+        k, first = int(np.argmax(rises)), int(np.argmax(rises > 0.0))
+        warnings.warn(
+            f"The energy rises by more than the error of a dense step: by {rises[k]:.2g} J at t ="
+            f" {traj.dense_steps.t[k]:.6g} s, first at t = {traj.dense_steps.t[first]:.6g} s"
+            " (traj.dense_steps['energy_rise'])",
+            AccuracyWarning,
+            stacklevel=stacklevel,
+        )
 
 
 def _check_auto(compiled: CompiledScene, inputs: str | None) -> None:

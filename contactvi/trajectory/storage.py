@@ -58,6 +58,7 @@ contact/start         (c, 3)         position impulse of the step on the second 
 contact/end           (c, 3)         velocity impulse of the step [N s]; of limits the first component counts
 contact/gap           (c,)           signed distance at the end [m or rad]
 contact/slip          (c, 3)         tangential velocity of the second shape against the first at the end [m/s]
+contact/slip_before   (c, 3)         the same at the start of the step; 0 in impacts and dense steps
 change/time           (d,)           when a contact changed [s]; changes only in runs that have some
 change/kind           (d,) int64     as event/kind
 change/index          (d,) int64     as event/index

@@ -85,7 +85,7 @@ class ContactStep final : public Stepper {
     return follows_ && node0_.known && p == p1_ && q == node0_.q ? &v_node_ : nullptr;
   }
   // By how much the step may change the energy besides its work [J], but for rounding: see gains_energy.
-  double energy_error(const VecCRef& p0, const VecCRef& p1) const;
+  double energy_error(const VecCRef& p0, const VecCRef& p1);
   // Work of inputs, dissipation by damping and by joint friction, work of driven constraints [J].
   double input_work() const { return integrator_.input_work(); }
   double damping_loss() const { return integrator_.damping_loss(); }

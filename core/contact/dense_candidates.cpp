@@ -179,6 +179,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   points_.clear();
   laws_.clear();
   gap_ = gap_noise_ = excess_ = 0.0;
+  deepest_ = -1;
   bool limit_overlaps = false;
   guards_->place(q1);
   for (const Near& near : near_) {
@@ -186,7 +187,10 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
     const double gap = guards_->evaluate_witness(near.guard, witness);
     const bool pair = scene_->is_pair(near.guard);
     const double noise = pair ? kGapPromised : kLimitPromised;
-    gap_ = std::min(gap_, gap);
+    if (gap < gap_) {
+      gap_ = gap;
+      deepest_ = near.guard;
+    }
     const double excess = gap - near.allowed;
     if (excess < excess_) {
       excess_ = excess;
@@ -204,7 +208,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   guards_->place(q0_);
   for (std::size_t k : run_off_) {
     DenseContact& c = contacts_[k];
-    set_law(c, guards_->manifolds().frozen(c.law, guards_->placements(), c.at0, kAnyTurn), near_of(c.point.guard));
+    set_law(c, guards_->manifolds().frozen(c.law, guards_->placements(), c.at0, kAnyTurn, 0.0), near_of(c.point.guard));
     added = true;
   }
   for (std::size_t k = 0; k < points_.size(); ++k)

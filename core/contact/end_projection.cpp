@@ -180,6 +180,7 @@ void ContactStep::set_outcomes() {
     out.position_impulse = Vec3(lambda_[r], 0, 0);
     out.velocity_impulse = Vec3(lambda_end_[r], 0, 0);
     out.slip_W.setZero();
+    out.slip_before_W.setZero();
     out.slips = false;
     if (persistent.mu > 0.0) {
       out.position_impulse.tail<2>() = lambda_.segment<2>(r + 1);
@@ -189,6 +190,8 @@ void ContactStep::set_outcomes() {
       out.paradox = paradox_[i];
     }
     const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
+    if (persistent.mu > 0.0 && !persistent.sticks)
+      out.slip_before_W = node0_.W.col(r + 1).dot(v_start_) * s1 + node0_.W.col(r + 2).dot(v_start_) * s2;
     out.position_impulse_W =
         out.position_impulse[0] * c0.normal + out.position_impulse[1] * s1 + out.position_impulse[2] * s2;
     out.velocity_impulse_W =

@@ -25,7 +25,8 @@ struct ContactOutcome {
   Vec3 t1, t2;                                  // tangents there, world
   Vec3 position_impulse_W, velocity_impulse_W;  // on geometry b [N s], world
   Vec3 position_impulse, velocity_impulse;      // as (n, t1, t2) [N s]
-  Vec3 slip_W;                                  // relative velocity of the points in the tangent plane at the end [m/s]
+  // Relative velocity of the points in the tangent plane at the end, and at the start [m/s].
+  Vec3 slip_W, slip_before_W;
   double w_n = 0;                               // normal speed at the end [m/s]
   bool slipped = false;                         // during the step
   bool slips = false;                           // at its end

@@ -34,6 +34,8 @@ Guards::Guards(const Scene& scene, int contact_points)
       expected_(make_reach()),
       odometer_(scene.geometries.size()),
       interval_start_(scene.geometries.size()),
+      gap_(count_),
+      gap_for_(count_, -1),
       marks_(count_, -1.0),
       broad_phase_(scene),
       span_(scene.tree.nv) {}
@@ -206,7 +208,19 @@ double Guards::distance_bound(int guard, double enough) {
   return std::max(distance, evaluate_witness(guard, contact));
 }
 
+double Guards::gap(int guard) {
+  if (gap_for_[guard] == configuration_) return gap_[guard];
+  Contact contact;
+  return evaluate_witness(guard, contact);
+}
+
 double Guards::evaluate_witness(int guard, Contact& contact) {
+  gap_[guard] = find_nearest(guard, contact);
+  gap_for_[guard] = configuration_;
+  return gap_[guard];
+}
+
+double Guards::find_nearest(int guard, Contact& contact) {
   ++counters.evaluated;
   if (guard >= pairs_) {
     const JointLimit& limit = scene_->tree.limits[guard - pairs_];

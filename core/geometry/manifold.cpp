@@ -581,13 +581,14 @@ void Manifolds::find_ends(int pair, const Placements& at, double margin, std::ve
 // Where the one point of two axes lies between their ends and may run along them as the bodies turn, the point of b over
 // the axis of a.
 ContactPoint Manifolds::frozen_on_lines(const ContactPoint& point, const Placements& at, const Contact& contact,
-                                        double turn) const {
+                                        double turn, double moved) const {
   const PairView v = view(point.guard, at);
   const Line a = line_of(*v.a, v.pose_a, 0), b = line_of(*v.b, v.pose_b, 0);
   const double s = (contact.point_a - a.start).dot(a.direction), t = (contact.point_b - b.start).dot(b.direction);
   const double square = a.direction.cross(b.direction).squaredNorm(), radii = a.radius + b.radius;
   const bool between = s > kBorder && s < a.length - kBorder && t > kBorder && t < b.length - kBorder;
-  if (!between || turn * radii <= kRuns * std::min(a.length, b.length) * square) return point;
+  const double length = std::min(a.length, b.length);
+  if (!between || (turn + moved / length) * radii <= kRuns * length * square) return point;
   ContactPoint p = point;
   p.kind = PointKind::kEnd;
   p.on_b = true;
@@ -602,21 +603,21 @@ ContactPoint Manifolds::frozen_on_lines(const ContactPoint& point, const Placeme
 }
 
 ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness,
-                               double turn) const {
+                               double turn, double moved) const {
   ContactPoint p = point;
   if (point.kind == PointKind::kRim) {
     const Vec3 n = turned_B(at, point.point_body, turned_W(at, point.plane_body, point.normal_B));
     p.kind = PointKind::kVertex;
     p.center_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, n);
   } else if (point.kind == PointKind::kWitness && has_lines(point.guard)) {
-    p = frozen_on_lines(point, at, witness, turn);
+    p = frozen_on_lines(point, at, witness, turn, moved);
     if (p.kind == PointKind::kWitness && !has_capsules(point.guard)) make_material(p, at, witness);
   } else if (point.kind == PointKind::kWitness && !is_single(point.guard)) {
     make_material(p, at, witness);
   } else if (point.kind == PointKind::kEdge && has_lines(point.guard)) {
     Contact crossing;
     edge_gap(point, at, crossing);
-    p = frozen_on_lines(point, at, crossing, turn);
+    p = frozen_on_lines(point, at, crossing, turn, moved);
   } else if (point.kind == PointKind::kEdge) {
     const Vec3 a = turned_W(at, point.plane_body, point.normal_B), b = turned_W(at, point.point_body, point.axis_B);
     if (a.cross(b).norm() > turn) return p;

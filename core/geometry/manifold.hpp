@@ -99,9 +99,10 @@ class Manifolds {
 
   // The point as one that moves with the bodies, where these are placed: the lowest point of a rim, the witness of
   // shapes with edges, and the crossing of edges that become parallel where the bodies turn by `turn` [rad], become a
-  // point of one body over a plane of the other; points of an axis that run along it, points over the other axis. Other
-  // points stay what they are.
-  ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn) const;
+  // point of one body over a plane of the other; points of an axis that run along it, where the bodies turn like this or
+  // an end of the axis moves by `moved` [m], points over the other axis. Other points stay what they are.
+  ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn,
+                      double moved) const;
   // Where the one point of two lines lies along that of a and that of b [m]: zero for other points. Lines that are nearly
   // parallel turn little for it to run far.
   Eigen::Vector2d place_along(const ContactPoint& point, const Placements& at, const Contact& contact) const;
@@ -141,7 +142,8 @@ class Manifolds {
   class Least;
   PairView view(int pair, const Placements& at) const;
   ContactPoint make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const;
-  ContactPoint frozen_on_lines(const ContactPoint& point, const Placements& at, const Contact& contact, double turn) const;
+  ContactPoint frozen_on_lines(const ContactPoint& point, const Placements& at, const Contact& contact, double turn,
+                               double moved) const;
   static double far_of_rim(const ContactPoint& point, const Placements& at, Contact& contact);
   Sides sides_of_witness(const PairView& v, const Contact& witness) const;
   Sides sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const;
