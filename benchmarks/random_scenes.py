@@ -107,13 +107,22 @@ def bars(rng: Random) -> list[Item]:
     """Bodies fall on fixed bars, parallel, crossed or nearly so."""
     found, layers = [], int(rng.integers(1, 3))
     for layer in range(layers):
-        kind, yaw = str(rng.choice(["cylinder", "box", "capsule"])), float(rng.choice([0.0, np.pi / 2, rng.uniform(-3, 3)]))
+        kind, yaw = (
+            str(rng.choice(["cylinder", "box", "capsule"])),
+            float(rng.choice([0.0, np.pi / 2, rng.uniform(-3, 3)])),
+        )
         spacing = float(rng.uniform(0.06, 0.14))
         for k in range(-3, 4):
             x, y = spacing * k * np.cos(yaw), spacing * k * np.sin(yaw)
             where = {"place": (float(x), float(y), -0.05 * layer), "free": False}
             if kind == "box":
-                item = Item(kind, f"bar{layer}{k + 3}", (0.03, 1.2, 0.03), turn=(0.0, float(rng.choice([0.0, 0.7])), yaw), **where)
+                item = Item(
+                    kind,
+                    f"bar{layer}{k + 3}",
+                    (0.03, 1.2, 0.03),
+                    turn=(0.0, float(rng.choice([0.0, 0.7])), yaw),
+                    **where,
+                )
             else:
                 item = Item(kind, f"bar{layer}{k + 3}", (0.02, 1.2), turn=(np.pi / 2, 0.0, yaw), **where)
             found.append(item)
@@ -125,7 +134,11 @@ def stacks(rng: Random) -> list[Item]:
     found, height, gap = [Item("halfspace", "ground", (UP, 0.0))], 0.0, float(rng.choice([0.0, 1e-6, 1e-3]))
     for k in range(int(rng.integers(2, 7))):
         kind = str(rng.choice(["box", "cylinder", "mesh", "box", "cylinder", "lying", "sphere"]))
-        name, mass, yaw = f"{kind}{k}", float(10 ** rng.uniform(-1.5, 1.5)), float(rng.choice([0.0, rng.uniform(-3, 3)]))
+        name, mass, yaw = (
+            f"{kind}{k}",
+            float(10 ** rng.uniform(-1.5, 1.5)),
+            float(rng.choice([0.0, rng.uniform(-3, 3)])),
+        )
         turn = (0.0, 0.0, yaw)
         if kind == "mesh":
             count, half = int(rng.integers(3, 9)), float(rng.uniform(0.02, 0.06))
@@ -133,7 +146,11 @@ def stacks(rng: Random) -> list[Item]:
             ring = 0.1 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
             size: object = np.vstack([ring - [0, 0, half], ring + [0, 0, half]]).tolist()
         elif kind == "lying":
-            kind, size, turn = str(rng.choice(["cylinder", "capsule"])), (half := float(rng.uniform(0.03, 0.06)), 0.2), (np.pi / 2, 0.0, yaw)
+            kind, size, turn = (
+                str(rng.choice(["cylinder", "capsule"])),
+                (half := float(rng.uniform(0.03, 0.06)), 0.2),
+                (np.pi / 2, 0.0, yaw),
+            )
         else:
             size = sizes(rng, kind)
             half = {"box": lambda s: s[2] / 2, "cylinder": lambda s: s[1] / 2, "sphere": lambda s: s}[kind](size)
@@ -149,7 +166,9 @@ def wedges(rng: Random) -> list[Item]:
     for k in range(int(rng.integers(1, 4))):
         points = np.round(wedge(float(rng.uniform(0.2, 0.5)), 0.4, float(rng.uniform(0.05, 0.2))), 6).tolist()
         place = (*numbers(rng.uniform(-0.15, 0.15, 2)), float(rng.choice([0.0, 0.0, 0.01])))
-        found.append(Item("mesh", f"wedge{k}", points, free=False, place=place, turn=(0.0, 0.0, float(rng.uniform(-3, 3)))))
+        found.append(
+            Item("mesh", f"wedge{k}", points, free=False, place=place, turn=(0.0, 0.0, float(rng.uniform(-3, 3))))
+        )
     return found + bodies(rng, int(rng.integers(1, 6)))
 
 
@@ -175,7 +194,9 @@ def chains(rng: Random) -> list[Item]:
     joints = {f"hinge{k}": (float(rng.uniform(-1.0, 1.0)), float(rng.normal())) for k in range(not held, count)}
     place = (0.0, 0.0, float(rng.uniform(0.3, 0.5)))
     # A held chain comes first, so that the bodies make way for it.
-    chain = Item("urdf", "chain", text, free=not held, place=place, turn=(0.0, 0.0, float(rng.uniform(-3, 3))), joints=joints)
+    chain = Item(
+        "urdf", "chain", text, free=not held, place=place, turn=(0.0, 0.0, float(rng.uniform(-3, 3))), joints=joints
+    )
     return [*found, chain, *bodies(rng, int(rng.integers(1, 5)))]
 
 
@@ -184,7 +205,15 @@ def chain_text(rng: Random, count: int, held: bool) -> str:
     lines, length = ['<robot name="chain">', '<link name="base"/>' if held else ""], 0.15
     for k in range(count):
         mass, r = float(10 ** rng.uniform(-1, 1)), float(rng.uniform(0.015, 0.03))
-        shape = str(rng.choice([f'<box size="{2 * r} {2 * r} {length - 3 * r}"/>', f'<cylinder radius="{r}" length="{length - 3 * r}"/>', f'<sphere radius="{1.5 * r}"/>']))
+        shape = str(
+            rng.choice(
+                [
+                    f'<box size="{2 * r} {2 * r} {length - 3 * r}"/>',
+                    f'<cylinder radius="{r}" length="{length - 3 * r}"/>',
+                    f'<sphere radius="{1.5 * r}"/>',
+                ]
+            )
+        )
         about = mass * length**2 / 10
         lines.append(
             f'<link name="link{k}"><inertial><origin xyz="0 0 {-length / 2}"/><mass value="{mass}"/><inertia ixx="{about}"'

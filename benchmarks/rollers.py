@@ -98,7 +98,9 @@ def slope(rng: Random) -> list[Item]:
 def bin_of(rng: Random) -> list[Item]:
     """Rollers of several radii fall between two halfspaces that form a vee."""
     lean = float(rng.uniform(0.5, 1.0))
-    found = [Item("halfspace", f"wall{k}", ((s * np.sin(lean), 0.0, np.cos(lean)), 0.0)) for k, s in enumerate((-1.0, 1.0))]
+    found = [
+        Item("halfspace", f"wall{k}", ((s * np.sin(lean), 0.0, np.cos(lean)), 0.0)) for k, s in enumerate((-1.0, 1.0))
+    ]
     height = 0.06 / np.cos(lean) + 0.02
     for k in range(int(rng.integers(2, 6))):
         radius = float(rng.uniform(0.02, 0.05))

@@ -2,8 +2,8 @@
 
 Exact are all pairs with a halfspace, and those of a sphere or a capsule with spheres, capsules, boxes and cylinders,
 whose distance is the least of a convex function along the capsule's axis. Of all other pairs coal's distance of the
-sharp shapes is taken; the engine rounds the edges of most of these by up to 1 mm inside the shape, so that it is a bound
-only: an overlap of more than `ROUGH` is none of rounding.
+sharp shapes is taken. The engine rounds the edges of most of these with a radius of up to 1 mm inside the shape: sharp
+shapes may overlap by what that takes off their corners, which is much of an acute one (`slack`).
 """
 
 from __future__ import annotations
@@ -11,14 +11,21 @@ from __future__ import annotations
 import coal
 import numpy as np
 import pinocchio as pin
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 Array = np.ndarray
-ROUGH = 3e-3  # [m]
+EXACT, COAL = 2e-9, 1e-5  # [m] of the closed forms, with the 1e-9 that is promised, and of coal's sharp shapes
+ROUNDING = 1e-3  # [m], the largest radius of rounded edges
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 class Gaps:
-    """The gaps of all tested pairs at many configurations; `exact` says of which pairs they are exact."""
+    """The gaps of all tested pairs at many configurations.
+
+    Attributes:
+        pairs: numbers of the shapes of each pair. exact: whether its gap is exact. slack: how far below zero the gap
+            may be all the same [m].
+    """
 
     def __init__(self, scene) -> None:
         built = scene.built()
@@ -26,6 +33,9 @@ class Gaps:
         self._shapes = [item.geometry for item in self._collision.geometryObjects]
         self.pairs = [(pair.first, pair.second) for pair in self._collision.collisionPairs]
         self.exact = np.array([self._is_exact(*pair) for pair in self.pairs], dtype=bool)
+        lost = [rounded_off(shape) for shape in self._shapes]
+        rough = np.array([COAL + lost[i] + lost[j] for i, j in self.pairs])
+        self.slack = np.where(self.exact, EXACT, rough)
 
     def at(self, q: Array) -> Array:
         """Return the gaps (N, pairs) [m] at configurations (N, nq); below zero where shapes overlap."""
@@ -134,11 +144,23 @@ def reach(shape) -> float:
     return float(np.linalg.norm(vertices(shape), axis=1).max())
 
 
+def rounded_off(shape) -> float:
+    """Return the most that edges of radius ROUNDING take off the corners of a shape [m]."""
+    if isinstance(shape, coal.Box):
+        return (np.sqrt(3.0) - 1.0) * ROUNDING
+    if isinstance(shape, coal.Cylinder):
+        return (np.sqrt(2.0) - 1.0) * ROUNDING
+    if not isinstance(shape, coal.ConvexBase):
+        return 0.0
+    corners = vertices(shape)
+    sides = ConvexHull(corners).equations + [0.0, 0.0, 0.0, ROUNDING]
+    left = HalfspaceIntersection(sides, corners.mean(axis=0)).intersections
+    return float(np.linalg.norm(corners[:, None] - left[None], axis=2).min(axis=1).max()) - ROUNDING
+
+
 def by_coal(a: tuple, b: tuple) -> Array:
     request = coal.DistanceRequest()
     request.enable_signed_distance = True
     request.gjk_tolerance = 1e-9
-    places = [
-        (coal.Transform3s(a[1][k], a[2][k]), coal.Transform3s(b[1][k], b[2][k])) for k in range(len(a[2]))
-    ]
+    places = [(coal.Transform3s(a[1][k], a[2][k]), coal.Transform3s(b[1][k], b[2][k])) for k in range(len(a[2]))]
     return np.array([coal.distance(a[0], x, b[0], y, request, coal.DistanceResult()) for x, y in places])

@@ -81,7 +81,9 @@ def summary(runs: Iterable[dict[str, Any]]) -> str:
         groups[found["family"]].append(found)
         groups["all"].append(found)
     groups["all"] = groups.pop("all", [])
-    lines = [f"{'family':22} runs  least gap (median, worst)   energy (median, worst)   time over MuJoCo    classes, statuses"]
+    lines = [
+        f"{'family':22} runs  least gap (median, worst)   energy (median, worst)   time over MuJoCo    classes, statuses"
+    ]
     for family, members in groups.items():
         gaps, energies, ratios = (
             np.array([f(found) for found in members if "gap" in found] or [np.nan])
@@ -112,7 +114,7 @@ def show(recipe: Recipe) -> None:
     if "gap" not in found:
         return
     scene, q0, v0 = recipe.build()
-    traj, _ = checks.run(scene, q0, v0, recipe.duration)
+    traj, *_ = checks.run(scene, q0, v0, recipe.duration)
     print(traj.stepping)
     times = {"gap": found["deep_time"], "energy": found["energy_time"], "closed form": found["free_time"]}
     for what, t in times.items():
@@ -152,17 +154,22 @@ def around(scene: cvi.Scene, traj: cvi.Trajectory, t: float, size: float, nodes:
 
 def reduced(recipe: Recipe, limit: float) -> Recipe:
     """Return a recipe of fewer items and simpler numbers with the same class of fault."""
-    def key(found: dict[str, Any]) -> tuple[str, frozenset[str]]:
-        return found["class"], frozenset(fault.split()[0] for fault in found["faults"])
+
+    def measured(other: Recipe) -> tuple[str, set[str], float, float]:
+        found = guarded(other, limit)
+        size = max(-found.get("gap", 0.0), -found.get("free_gap", 0.0)), max(found.get("energy", 0.0), found.get("over_run", 0.0))
+        return found["class"], {fault.split()[0] for fault in found["faults"]}, *size
 
     def same(other: Recipe) -> bool:
+        """Whether the class, one of the faults, and the depth or the rise to a fifth, are those at first."""
         try:
-            now = key(guarded(other, limit))
-        except Exception:
+            now = measured(other)
+        except cvi.ContactviError:
             return False
-        return now[0] == first[0] and bool(now[1] & first[1] or not first[1])
+        severe = now[2] > 0.2 * first[2] if first[2] > checks.GAP else now[3] >= 0.2 * first[3]
+        return now[0] == first[0] and severe and bool(now[1] & first[1] or not first[1])
 
-    first = key(guarded(recipe, limit))
+    first = measured(recipe)
     for item in recipe.items:
         smaller = recipe.less({item.name})
         if smaller.items and same(smaller):
@@ -182,7 +189,9 @@ def reduced(recipe: Recipe, limit: float) -> Recipe:
 
 
 def _rounded(item: Any, digits: int) -> Any:
-    values = {name: tuple(round(x, digits) for x in getattr(item, name)) for name in ("place", "turn", "velocity", "spin")}
+    values = {
+        name: tuple(round(x, digits) for x in getattr(item, name)) for name in ("place", "turn", "velocity", "spin")
+    }
     size = item.size if item.shape in ("mesh", "urdf", "halfspace") else np.round(item.size, digits + 1).tolist()
     return replace(item, size=size, mass=round(item.mass, digits), **values)
 

@@ -107,7 +107,9 @@ class Recipe:
         lines.append("rise = np.diff(tr.energy)")
         lines.append('print(tr.status, f"{tr.stats.seconds:.2f} s, {tr.stats.dense_steps} dense steps")')
         lines.append('print(f"least gap {gaps[k, pair]:.3g} m at {tr.t[k]:.4f} s, {names[pair]}")')
-        lines.append('print(f"largest rise of the energy in a step {rise.max():.3g} J at {tr.t[1:][rise.argmax()]:.4f} s,"')
+        lines.append(
+            'print(f"largest rise of the energy in a step {rise.max():.3g} J at {tr.t[1:][rise.argmax()]:.4f} s,"'
+        )
         lines.append('      f" of {tr.kinetic_energy.max():.3g} J")')
         return "\n".join(lines) + "\n"
 
@@ -119,7 +121,9 @@ def freed(recipe: Recipe, margin: float = 0.0) -> Recipe:
     for item in recipe.items:
         done.append(item.name)
         at = scene.q_index(item.name).start + 2 if item.moves else 0
-        pairs = [k for k, pair in enumerate(names) if item.name in map(_owner, pair) and set(map(_owner, pair)) <= set(done)]
+        pairs = [
+            k for k, pair in enumerate(names) if item.name in map(_owner, pair) and set(map(_owner, pair)) <= set(done)
+        ]
         for _ in range(400):
             least = scene.gaps(q)[pairs].min() if item.moves and pairs else np.inf
             if least >= margin:
