@@ -239,7 +239,9 @@ def judge(found: dict[str, Any]) -> tuple[str, list[str]]:
     if silent:
         return "wrong", faults
     hard = [
-        fault for fault in faults if not fault.startswith(("friction", "impact", "losses", "residual")) and "MuJoCo" not in fault
+        fault
+        for fault in faults
+        if not fault.startswith(("friction", "impact", "losses", "residual")) and "MuJoCo" not in fault
     ]
     if hard:
         return "told", faults

@@ -152,24 +152,37 @@ def around(scene: cvi.Scene, traj: cvi.Trajectory, t: float, size: float, nodes:
             print(f"  {change.change} {change.time:.9f} {'-'.join(change.pair)} point {change.point}")
 
 
-def reduced(recipe: Recipe, limit: float) -> Recipe:
-    """Return a recipe of fewer items and simpler numbers with the same class of fault."""
+def _word(fault: str) -> str:
+    """The kind of a fault: its first word, "slow" of a long time."""
+    return "slow" if "MuJoCo" in fault else fault.split()[0]
 
-    def measured(other: Recipe) -> tuple[str, set[str], float, float]:
+
+MEASURE = {"gap": "gap", "distances": "difference", "energy": "energy", "over_run": "over_run", "slow": "ratio",
+           "friction_loss": "friction_loss", "impact_loss": "impact_loss", "losses": "balance",
+           "residual": "residual"}  # fmt: skip
+
+
+def reduced(recipe: Recipe, limit: float, fault: str = "") -> Recipe:
+    """Return a recipe of fewer items and simpler numbers with the same fault, by default the first of the run."""
+
+    def severity(other: Recipe) -> dict[str, float]:
         found = guarded(other, limit)
-        size = max(-found.get("gap", 0.0), -found.get("free_gap", 0.0)), max(found.get("energy", 0.0), found.get("over_run", 0.0))
-        return found["class"], {fault.split()[0] for fault in found["faults"]}, *size
+        if found.get("status") == "PENETRATION":
+            return {}
+        words = [_word(fault) for fault in found["faults"]] or [found["class"]]
+        return {word: abs(found.get(MEASURE.get(word, ""), 1.0)) for word in words}
 
     def same(other: Recipe) -> bool:
-        """Whether the class, one of the faults, and the depth or the rise to a fifth, are those at first."""
+        """Whether it has the first fault of the first recipe, to a third of it."""
         try:
-            now = measured(other)
+            return severity(other).get(worst, -1.0) > first[worst] / 3.0
         except cvi.ContactviError:
             return False
-        severe = now[2] > 0.2 * first[2] if first[2] > checks.GAP else now[3] >= 0.2 * first[3]
-        return now[0] == first[0] and severe and bool(now[1] & first[1] or not first[1])
 
-    first = measured(recipe)
+    first = severity(recipe)
+    worst = fault or next(iter(first), "")
+    if worst not in first:
+        raise SystemExit(f"The run has no such fault, but {', '.join(first)}")
     for item in recipe.items:
         smaller = recipe.less({item.name})
         if smaller.items and same(smaller):
@@ -206,6 +219,7 @@ def main(doc: str | None, families: Iterable[str], make: Make, seeds: int) -> in
     parser.add_argument("--limit", type=float, default=60.0, help="of a run [s]")
     parser.add_argument("--show", type=int, metavar="SEED", help="everything about one scene of the first family")
     parser.add_argument("--reduce", type=int, metavar="SEED", help="a smaller scene with the same fault, as a script")
+    parser.add_argument("--fault", default="", help="that --reduce keeps: gap, energy, losses, residual, slow, ...")
     args = parser.parse_args()
     known = list(families)
     wanted = [name for name in known if any(part in name for part in args.families.split(","))]
@@ -213,7 +227,7 @@ def main(doc: str | None, families: Iterable[str], make: Make, seeds: int) -> in
     if args.show is not None or args.reduce is not None:
         recipe = make((exact or wanted)[0], args.show if args.reduce is None else args.reduce)
         if args.reduce is not None:
-            recipe = reduced(recipe, args.limit)
+            recipe = reduced(recipe, args.limit, args.fault)
             print(recipe.script())
             print(line(guarded(recipe, args.limit)))
             return 0
