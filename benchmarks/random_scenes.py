@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent / "faults"))
-from finder import main  # noqa: E402
-from recipes import Item, Recipe, freed  # noqa: E402
+from finder import main
+from recipes import Item, Recipe, freed
 
 Random = np.random.Generator
 RESTITUTIONS, FRICTIONS, DURATION = (0.0, 0.0, 0.3, 0.5, 0.8, 1.0), (0.0, 0.3, 0.8, 1.5), 0.6
@@ -92,15 +93,22 @@ def room(rng: Random) -> list[Item]:
         return [Item("halfspace", "ground", (UP, 0.0))]
     count, turn = int(rng.integers(1, 4)), float(rng.uniform(0, 2 * np.pi))
     angles = turn + 2 * np.pi * np.arange(count) / count
-    return [
-        Item("halfspace", f"slope{k}", ((float(np.sin(lean) * np.cos(a)), float(np.sin(lean) * np.sin(a)), float(np.cos(lean))), -0.05))
-        for k, a in enumerate(angles)
-    ]  # fmt: skip
+    normals = [(float(np.sin(lean) * np.cos(a)), float(np.sin(lean) * np.sin(a)), float(np.cos(lean))) for a in angles]
+    return [Item("halfspace", f"slope{k}", (normal, -0.05)) for k, normal in enumerate(normals)]
 
 
 def free(rng: Random) -> list[Item]:
     """Bodies of all kinds are thrown on the ground, on a slope or into a valley."""
     return room(rng) + bodies(rng, int(rng.integers(2, 9)))
+
+
+def pairs(rng: Random) -> list[Item]:
+    """Two or three bodies of few kinds, one above the other, spin and fall."""
+    kinds = ("cylinder", "box", "capsule", "mesh")[: int(rng.integers(1, 5))]
+    found = [Item("halfspace", "ground", (UP, 0.0))]
+    for k, item in enumerate(bodies(rng, int(rng.integers(2, 4)), kinds, fast=2.0)):
+        found.append(replace(item, place=(0.02 * k, 0.01 * k, 0.2 + 0.3 * k)))
+    return found
 
 
 def bars(rng: Random) -> list[Item]:
@@ -201,7 +209,7 @@ def chains(rng: Random) -> list[Item]:
 
 
 def chain_text(rng: Random, count: int, held: bool) -> str:
-    """A URDF of links that hang from each other by revolute joints with limits; its base is a frame, or the first link."""
+    """A URDF of links that hang from each other by revolute joints with limits; the base is a frame or a link."""
     lines, length = ['<robot name="chain">', '<link name="base"/>' if held else ""], 0.15
     for k in range(count):
         mass, r = float(10 ** rng.uniform(-1, 1)), float(rng.uniform(0.015, 0.03))
@@ -215,19 +223,21 @@ def chain_text(rng: Random, count: int, held: bool) -> str:
             )
         )
         about = mass * length**2 / 10
+        origin = f'<origin xyz="0 0 {-length / 2}"/>'
         lines.append(
-            f'<link name="link{k}"><inertial><origin xyz="0 0 {-length / 2}"/><mass value="{mass}"/><inertia ixx="{about}"'
-            f' iyy="{about}" izz="{0.5 * about}" ixy="0" ixz="0" iyz="0"/></inertial><collision><origin xyz="0 0'
-            f' {-length / 2}"/><geometry>{shape}</geometry></collision></link>'
-        )  # fmt: skip
+            f'<link name="link{k}"><inertial>{origin}<mass value="{mass}"/><inertia ixx="{about}" iyy="{about}"'
+            f' izz="{0.5 * about}" ixy="0" ixz="0" iyz="0"/></inertial><collision>{origin}<geometry>{shape}</geometry>'
+            "</collision></link>"
+        )
         if not k and not held:
             continue
         parent = f"link{k - 1}" if k else "base"
         axis = str(rng.choice(["1 0 0", "0 1 0", "0.6 0.8 0"]))
         lines.append(
             f'<joint name="hinge{k}" type="revolute"><parent link="{parent}"/><child link="link{k}"/><origin xyz="0 0'
-            f' {-length if k else 0.0}"/><axis xyz="{axis}"/><limit lower="-1.2" upper="1.2" effort="0" velocity="0"/></joint>'
-        )  # fmt: skip
+            f' {-length if k else 0.0}"/><axis xyz="{axis}"/><limit lower="-1.2" upper="1.2" effort="0" velocity="0"/>'
+            "</joint>"
+        )
     return "\n".join([*lines, "</robot>"])
 
 
@@ -239,7 +249,8 @@ def mixed(rng: Random) -> list[Item]:
 
 
 FAMILIES: dict[str, Callable[[Random], list[Item]]] = {
-    "free": free, "bars": bars, "stacks": stacks, "wedges": wedges, "rods": rods, "chains": chains, "mixed": mixed,
+    "free": free,
+    "pairs": pairs, "bars": bars, "stacks": stacks, "wedges": wedges, "rods": rods, "chains": chains, "mixed": mixed,
 }  # fmt: skip
 
 

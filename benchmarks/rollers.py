@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent / "faults"))
-from finder import main  # noqa: E402
-from recipes import Item, Recipe, freed  # noqa: E402
+from finder import main
+from recipes import Item, Recipe, freed
 
 Random = np.random.Generator
 LIE = np.pi / 2  # about x: the axis of a roller, z, comes to lie along -y
@@ -67,7 +68,7 @@ def pile(rng: Random) -> list[Item]:
     for k in range(int(rng.integers(3, 9))):
         row, column = divmod(k, 3)
         x = (column - 1) * 0.107 + 0.003 * row * (-1) ** row + small(rng, 3e-3)
-        where = dict(y=small(rng, 0.01), yaw=small(rng, 0.01), kind=kind_of(rng) if mixed else kind)
+        where = {"y": small(rng, 0.01), "yaw": small(rng, 0.01), "kind": kind_of(rng) if mixed else kind}
         found.append(roller(f"r{k}", np.clip(x, -half + 0.052, half - 0.052), 0.06 + 0.105 * row + 1e-3, **where))
     return found
 
@@ -176,8 +177,6 @@ def make(family: str, seed: int) -> Recipe:
 
 def plain(item: Item) -> Item:
     """The same with Python's numbers."""
-    from dataclasses import replace
-
     return replace(item, place=tuple(map(float, item.place)), turn=tuple(map(float, item.turn)))
 
 

@@ -3,8 +3,9 @@
 - Gaps: the least of `scene.gaps` over all nodes, and that of `distances`, which does not use the engine.
 - Energy, of scenes without inputs: computed by Pinocchio from the states. In a step it may rise by the error of a
   midpoint step, (h w)^2 / 4 of the kinetic energy with w the fastest turning, by dv.M dv / 12 with dv what the forces
-  change the velocity by (in a step with an impact those of the free motion alone), and by the weight times the gap that
-  may be left; over the run by four times the largest of these.
+  change the velocity by (in a step with an impact those of the free motion alone, else at most PRESSED times as much:
+  a step whose impulses are wrong must not allow itself what they gain), and by the weight times the gap that may be
+  left; over the run by four times the largest of these.
 - Losses: no increment of `friction_loss` or `impact_loss` is below zero, both together are what the energy falls by.
 - What the run itself says: status, warnings, the gaps and rises that its records have.
 
@@ -31,6 +32,7 @@ Array = np.ndarray
 DT, PEER_DT = 1e-3, 2e-3  # [s]
 GAP, ENERGY, SLOW = 1e-9, 1e-6, 50.0  # [m], of the largest energy, times
 RESIDUAL = 0.5  # of Coulomb's law in dense steps, over the largest free speed: docs/limits.md speaks of 0.2
+PRESSED = 10.0  # times h^2 a.M a of the free motion, the most that the forces of contacts may add to the allowed rise
 SHORT = 0.2  # [s] of a run that is made again, so that its time is not that of a cold start
 
 
@@ -142,8 +144,8 @@ def allowed_rises(model: pin.Model, scene: cvi.Scene, traj: cvi.Trajectory, kine
         mass = np.triu(pin.crba(model, data, traj.q[k]))
         mass += np.triu(mass, 1).T
         free = -h[k] * np.linalg.solve(mass, pin.nonLinearEffects(model, data, traj.q[k], traj.v[k]))
-        dv = free if hit[k] else traj.v[k + 1] - traj.v[k]
-        error[k] += max(dv @ mass @ dv, free @ mass @ free) / 12.0
+        dv, own = traj.v[k + 1] - traj.v[k], free @ mass @ free
+        error[k] += (own if hit[k] else min(max(dv @ mass @ dv, own), PRESSED * own)) / 12.0
     weight = 9.81 * sum(inertia.mass for inertia in list(model.inertias)[1:])
     return error + GAP * weight + 1e-12 * np.abs(energy).max()
 

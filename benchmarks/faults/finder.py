@@ -81,9 +81,8 @@ def summary(runs: Iterable[dict[str, Any]]) -> str:
         groups[found["family"]].append(found)
         groups["all"].append(found)
     groups["all"] = groups.pop("all", [])
-    lines = [
-        f"{'family':22} runs  least gap (median, worst)   energy (median, worst)   time over MuJoCo    classes, statuses"
-    ]
+    head = "runs  least gap (median, worst)   energy (median, worst)   time over MuJoCo    classes, statuses"
+    lines = [f"{'family':16} {head}"]
     for family, members in groups.items():
         gaps, energies, ratios = (
             np.array([f(found) for found in members if "gap" in found] or [np.nan])
@@ -96,8 +95,8 @@ def summary(runs: Iterable[dict[str, Any]]) -> str:
         counts = ", ".join(f"{kind} {classes[kind]}" for kind in WORST_FIRST if classes[kind])
         slow = sum(found.get("ratio", 0.0) > checks.SLOW for found in members)
         lines.append(
-            f"{family:22} {len(members):4}  {np.median(gaps):10.1e} {np.min(gaps):10.1e}     {np.median(energies):10.1e} "
-            f"{np.max(energies):10.1e}   {np.median(ratios):7.1f} {np.max(ratios):7.1f}    {counts}"
+            f"{family:16} {len(members):4}  {np.median(gaps):10.1e} {np.min(gaps):10.1e}     {np.median(energies):10.1e}"
+            f" {np.max(energies):10.1e}   {np.median(ratios):7.1f} {np.max(ratios):7.1f}    {counts}"
             + (f"; over {checks.SLOW:.0f} times MuJoCo's time {slow}" if slow else "")
             + (f"; {dict(statuses)}" if statuses else "")
         )
@@ -138,14 +137,14 @@ def around(scene: cvi.Scene, traj: cvi.Trajectory, t: float, size: float, nodes:
         row = rows[int(k)]
         print(
             f"  {row.t:.6f} +{row.h:.1e} {'-'.join(row.pair)} point {row.point} feature {rows.array('feature')[k]}"
-            f" {row.mode}{' dense' if row.dense else ''} n {np.round(row.normal, 4)} impulse {row.impulse @ row.normal:.3e}"
-            f" gap {row.gap:.1e} slip {np.linalg.norm(row.slip):.1e}"
+            f" {row.mode}{' dense' if row.dense else ''} n {np.round(row.normal, 4)}"
+            f" impulse {row.impulse @ row.normal:.3e} gap {row.gap:.1e} slip {np.linalg.norm(row.slip):.1e}"
         )
     for event in traj.events:
         if low <= event.time <= high:
             print(
-                f"  impact {event.time:.9f} {'-'.join(event.pair)} speeds {event.gamma_minus:.2e} {event.gamma_plus:.2e}"
-                f" points {event.points} loss {event.loss:.1e} gap {event.gap:.1e}"
+                f"  impact {event.time:.9f} {'-'.join(event.pair)} speeds {event.gamma_minus:.2e}"
+                f" {event.gamma_plus:.2e} points {event.points} loss {event.loss:.1e} gap {event.gap:.1e}"
             )
     for change in traj.contact_changes:
         if low <= change.time <= high:
