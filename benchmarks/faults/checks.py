@@ -3,9 +3,10 @@
 - Gaps: the least of `scene.gaps` over all nodes, and that of `distances`, which does not use the engine.
 - Energy, of scenes without inputs: computed by Pinocchio from the states. In a step it may rise by the error of a
   midpoint step, (h w)^2 / 4 of the kinetic energy with w the fastest turning, by dv.M dv / 12 with dv what the forces
-  change the velocity by (in a step with an impact those of the free motion alone, else at most PRESSED times as much:
-  a step whose impulses are wrong must not allow itself what they gain), and by the weight times the gap that may be
-  left; over the run by four times the largest of these.
+  change the velocity by (in a step with an impact those of the free motion alone), and by the weight times the gap that
+  may be left; over the run by four times the largest of these. A step whose impulses are wrong must not allow itself
+  what they gain: dv.M dv counts PRESSED times that of the free motion at most where the forces of one part of the step
+  are a SPIKE, and where the energy comes to be more than it was in the BEFORE steps before.
 - Losses: no increment of `friction_loss` or `impact_loss` is below zero, both together are what the energy falls by.
 - What the run itself says: status, warnings, the gaps and rises that its records have.
 
@@ -32,7 +33,7 @@ Array = np.ndarray
 DT, PEER_DT = 1e-3, 2e-3  # [s]
 GAP, ENERGY, SLOW = 1e-9, 1e-6, 50.0  # [m], of the largest energy, times
 RESIDUAL = 0.5  # of Coulomb's law in dense steps, over the largest free speed: docs/limits.md speaks of 0.2
-PRESSED = 10.0  # times h^2 a.M a of the free motion, the most that the forces of contacts may add to the allowed rise
+PRESSED, SPIKE, BEFORE = 10.0, 30.0, 5  # times h^2 a.M a of the free motion, times the forces about it, steps
 SHORT = 0.2  # [s] of a run that is made again, so that its time is not that of a cold start
 
 
@@ -108,15 +109,16 @@ def energies(scene: cvi.Scene, traj: cvi.Trajectory, v0: Array) -> dict[str, Any
     data = model.createData()
     kinetic = np.array([pin.computeKineticEnergy(model, data, q, v) for q, v in zip(traj.q, traj.v, strict=True)])
     energy = kinetic + np.array([pin.computePotentialEnergy(model, data, q) for q in traj.q])
-    allowed = allowed_rises(model, scene, traj, kinetic, energy)
-    rises = np.diff(energy)
-    beyond = rises - allowed
-    largest = size(scene, traj)
-    over = energy - np.minimum.accumulate(energy) - 4.0 * allowed.max(initial=0.0)
+    formal, capped = allowed_rises(model, traj, kinetic, energy)
+    rises, largest = np.diff(energy), size(scene, traj)
+    before = np.array([energy[max(0, k - BEFORE) : k + 1].max() for k in range(len(rises))])
+    net = energy[1:] - before - capped
+    beyond = np.maximum(rises - np.where(spikes(traj), capped, formal), net)
+    over = energy - np.minimum.accumulate(energy) - 4.0 * formal.max(initial=0.0)
     k = int(np.argmax(beyond)) if len(beyond) else 0
     return {
         "energy": float(max(beyond.max(initial=0.0), 0.0) / largest), "energy_time": float(traj.t[k]),
-        "rise": float(rises.max(initial=0.0)), "allowed": float(allowed[k]) if len(beyond) else 0.0,
+        "rise": float(rises.max(initial=0.0)), "allowed": float(formal[k]) if len(beyond) else 0.0,
         "over_run": float(max(over.max(), 0.0) / largest), "over_time": float(traj.t[np.argmax(over)]),
         "largest": largest, "mismatch": float(np.abs(energy - traj.energy).max() / largest),
         "dense_there": in_dense(traj, float(traj.t[k])),
@@ -128,8 +130,23 @@ def in_dense(traj: cvi.Trajectory, t: float) -> bool:
     return bool(len(steps) and np.any((steps["t"] >= t - 1e-12) & (steps["t"] < t + DT)))
 
 
-def allowed_rises(model: pin.Model, scene: cvi.Scene, traj: cvi.Trajectory, kinetic: Array, energy: Array) -> Array:
-    """Bound on the rise of the energy in each step [J], shape (N - 1,)."""
+def spikes(traj: cvi.Trajectory) -> Array:
+    """Whether a part of a step, without an impact, had far larger forces than the parts about it, shape (N - 1,)."""
+    rows, steps = traj.contacts, len(traj.t) - 1
+    found = np.zeros(steps, dtype=bool)
+    lasting = rows.h > 0.0
+    starts, part = np.unique(rows.t[lasting], return_inverse=True)
+    force = np.zeros(len(starts))
+    np.add.at(force, part, np.linalg.norm(rows.impulse[lasting], axis=1) / rows.h[lasting])
+    step = np.clip(np.searchsorted(traj.t, starts + 1e-12, side="right") - 1, 0, max(steps - 1, 0))
+    for k in np.unique(step):
+        about = force[np.abs(step - k) <= 1]
+        found[k] = force[step == k].max() > SPIKE * np.median(about)
+    return found
+
+
+def allowed_rises(model: pin.Model, traj: cvi.Trajectory, kinetic: Array, energy: Array) -> tuple[Array, Array]:
+    """Bounds on the rise of the energy in each step [J], shapes (N - 1,): the documented one, and the capped one."""
     data, steps = model.createData(), len(traj.t) - 1
     h = np.diff(traj.t)
     hit = np.zeros(steps, dtype=bool)
@@ -140,14 +157,17 @@ def allowed_rises(model: pin.Model, scene: cvi.Scene, traj: cvi.Trajectory, kine
     rates = np.array([turning(model, data, q, v) for q, v in zip(traj.q, traj.v, strict=True)])
     rates = np.maximum(rates[1:], rates[:-1])
     error = 0.25 * (h * rates) ** 2 * np.maximum(kinetic[1:], kinetic[:-1])
+    forces, capped = np.zeros(steps), np.zeros(steps)
     for k in range(steps):
         mass = np.triu(pin.crba(model, data, traj.q[k]))
         mass += np.triu(mass, 1).T
         free = -h[k] * np.linalg.solve(mass, pin.nonLinearEffects(model, data, traj.q[k], traj.v[k]))
         dv, own = traj.v[k + 1] - traj.v[k], free @ mass @ free
-        error[k] += (own if hit[k] else min(max(dv @ mass @ dv, own), PRESSED * own)) / 12.0
+        forces[k] = own if hit[k] else max(dv @ mass @ dv, own)
+        capped[k] = min(forces[k], PRESSED * own)
     weight = 9.81 * sum(inertia.mass for inertia in list(model.inertias)[1:])
-    return error + GAP * weight + 1e-12 * np.abs(energy).max()
+    error += GAP * weight + 1e-12 * np.abs(energy).max()
+    return error + forces / 12.0, error + capped / 12.0
 
 
 def turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:

@@ -82,7 +82,7 @@ def summary(runs: Iterable[dict[str, Any]]) -> str:
         groups["all"].append(found)
     groups["all"] = groups.pop("all", [])
     head = "runs  least gap (median, worst)   energy (median, worst)   time over MuJoCo    classes, statuses"
-    lines = [f"{'family':16} {head}"]
+    lines = [f"{'family':14} {head}"]
     for family, members in groups.items():
         gaps, energies, ratios = (
             np.array([f(found) for found in members if "gap" in found] or [np.nan])
@@ -95,7 +95,7 @@ def summary(runs: Iterable[dict[str, Any]]) -> str:
         counts = ", ".join(f"{kind} {classes[kind]}" for kind in WORST_FIRST if classes[kind])
         slow = sum(found.get("ratio", 0.0) > checks.SLOW for found in members)
         lines.append(
-            f"{family:16} {len(members):4}  {np.median(gaps):10.1e} {np.min(gaps):10.1e}     {np.median(energies):10.1e}"
+            f"{family:14} {len(members):4}  {np.median(gaps):10.1e} {np.min(gaps):10.1e}    {np.median(energies):10.1e}"
             f" {np.max(energies):10.1e}   {np.median(ratios):7.1f} {np.max(ratios):7.1f}    {counts}"
             + (f"; over {checks.SLOW:.0f} times MuJoCo's time {slow}" if slow else "")
             + (f"; {dict(statuses)}" if statuses else "")
