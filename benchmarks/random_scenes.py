@@ -245,6 +245,7 @@ def mixed(rng: Random) -> list[Item]:
     """Two of these floors and all kinds of bodies."""
     one = [item for item in (bars(rng) if rng.random() < 0.5 else wedges(rng)) if not item.moves]
     chain = [item for item in chains(rng) if item.shape == "urdf"] if rng.random() < 0.3 else []
+    chain = [replace(item, place=(0.0, 0.0, 0.8)) for item in chain]  # held above the floor, whatever its angles
     return [*one, *chain, *bodies(rng, int(rng.integers(2, 7)))]
 
 

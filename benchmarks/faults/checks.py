@@ -10,9 +10,10 @@
 - Losses: no increment of `friction_loss` or `impact_loss` is below zero, both together are what the energy falls by.
 - What the run itself says: status, warnings, the gaps and rises that its records have.
 
-A run is `wrong` where gaps or energy are and nothing in its status or records says as much as that; `told` where its
-records do; `reported` where it ends with another status than SUCCESS; `refused`, `time`, `crash`; `slow` beyond SLOW
-times the time of MuJoCo; else `ok`.
+A run is `wrong` where gaps or energy are and nothing in its status or records says as much as that, `told` where its
+records do; `ledger` where losses or residuals alone are not as they should be; `reported` where it ends with another
+status than SUCCESS, `time` where it took too long, `refused` where it did not start, `crash` where its process ended;
+`slow` beyond SLOW times the time of MuJoCo; else `ok`.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def measure(recipe: Recipe) -> dict[str, Any]:
         return found | {"class": "refused", "message": f"{type(error).__name__}: {error}"[:300]}
     found |= {"status": traj.status.code.name, "reached": traj.status.time, "impacts": len(traj.events)}
     found |= {"dense": traj.stats.dense_steps, "said": said, "message": "" if traj.status.ok else traj.status.message}
-    found |= gaps(scene, traj) | energies(scene, traj, v0) | losses(traj, size(scene, traj)) | records(traj)
+    found |= gaps(scene, traj) | energies(scene, traj) | losses(traj, size(scene, traj)) | records(traj)
     seconds = min(traj.stats.seconds, took)
     if seconds < SHORT and found["reached"]:
         again, _, took = run(scene, q0, v0, recipe.duration)
@@ -103,7 +104,7 @@ def gaps(scene: cvi.Scene, traj: cvi.Trajectory) -> dict[str, Any]:
 
 
 # --- energy -----------------------------------------------------------------------------------------------------------
-def energies(scene: cvi.Scene, traj: cvi.Trajectory, v0: Array) -> dict[str, Any]:
+def energies(scene: cvi.Scene, traj: cvi.Trajectory) -> dict[str, Any]:
     """The largest rise of the energy in a step and over the run, beyond the error of the steps [J]."""
     model = scene.built().model
     data = model.createData()
@@ -131,7 +132,7 @@ def in_dense(traj: cvi.Trajectory, t: float) -> bool:
 
 
 def spikes(traj: cvi.Trajectory) -> Array:
-    """Whether a part of a step, without an impact, had far larger forces than the parts about it, shape (N - 1,)."""
+    """Whether the forces of a part of each step were far larger than those about it, impacts left out, (N - 1,)."""
     rows, steps = traj.contacts, len(traj.t) - 1
     found = np.zeros(steps, dtype=bool)
     lasting = rows.h > 0.0
