@@ -103,7 +103,7 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 7; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 8; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
@@ -144,7 +144,7 @@ from contactvi.trajectory.polynomials import Segments
 from contactvi.version import version
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 7
+SCHEMA = 8
 _NODES: dict[str, str | None] = {
     "t": None,
     "q": "q",
