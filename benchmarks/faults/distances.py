@@ -16,6 +16,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 Array = np.ndarray
 EXACT, COAL = 2e-9, 1e-5  # [m] of the closed forms, with the 1e-9 that is promised, and of coal's sharp shapes
 ROUNDING = 1e-3  # [m], the largest radius of rounded edges
+FAILED = 1e100
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -50,6 +51,7 @@ class Gaps:
                 a = self._shapes[i], rotations[near, i], places[near, i]
                 b = self._shapes[j], rotations[near, j], places[near, j]
                 found[near, k] = gap(a, b)
+        found[found < -FAILED] = np.inf  # coal finds no distance of a few cylinders that lie exactly along each other
         return found
 
     def _is_exact(self, i: int, j: int) -> bool:

@@ -504,7 +504,8 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
 }
 
 ContactPoint Manifolds::point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const {
-  return make_point(pair, view(pair, at), {feature, 0.0, Vec3::Zero()}, witness.normal);
+  const Candidate named{feature, 0.0, 0.5 * (witness.point_a + witness.point_b)};
+  return make_point(pair, view(pair, at), named, witness.normal);
 }
 
 void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contact& contact) const {
