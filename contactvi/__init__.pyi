@@ -28,6 +28,7 @@ from .errors import SceneError as SceneError
 from .errors import SimulationError as SimulationError
 from .errors import TornMeshWarning as TornMeshWarning
 from .errors import UnsupportedJointError as UnsupportedJointError
+from .errors import UntestedPairWarning as UntestedPairWarning
 from .errors import UnusedSettingWarning as UnusedSettingWarning
 from .errors import UserFunctionError as UserFunctionError
 from .options import Options as Options

@@ -281,7 +281,18 @@ class ApproximateDerivativeWarning(UserWarning):
 
 
 class UnusedSettingWarning(UserWarning):
-    """What was set has no effect: a default of contacts that none of the shapes uses, because files give their own."""
+    """What was set has no effect.
+
+    A default of contacts that none of the shapes uses, because files give their own, or a value of a pair that is not
+    tested for contact.
+    """
+
+
+class UntestedPairWarning(UserWarning):
+    """A run does not test a pair of shapes, of which the user has added one: they overlap in the start and in neutral.
+
+    There the model's own pose makes them overlap, and they pass through each other.
+    """
 
 
 class TornMeshWarning(UserWarning):

@@ -52,7 +52,7 @@ class Interval:
         self._steps, self._t = count("steps", steps), real("t", t)
         chosen = {**options, "dt": step, "duration": step * self._steps, "record": "gradient"}
         self._options = settings_of(scene, chosen, forced=True)
-        self._compiled = compiled = compile_scene(scene)
+        self._compiled = compiled = compile_scene(scene).at_start(None)  # one set of pairs, whatever is asked for
         check_map(compiled, self._options)
         check_elements(compiled, self._options)
         compiled.check_differentiable()

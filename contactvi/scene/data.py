@@ -10,6 +10,9 @@ bodies      [{name, joint, placement}]
 geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}]; the pictures of a
             trajectory are stored beside the scene (visuals.py)
 pairs, pair_restitution, pair_friction, restitution, friction (defaults)
+neutral_overlaps [{pair, depth (text), restitution, friction}]: pairs that overlap at the neutral pose, which a run tests
+            where it starts with them apart; those that the stored run tested are among `pairs` too. Not in files of
+            older versions
 stiffness, rest, limits, limit_restitution; start (neutral q); parts {name: {joints, bodies, geometries}}
 dry_friction (nv), servo (3 x nv: kp, kd, effort), actuator (2 x nv: effort, velocity limits; inf: none), targets of
             servos {joint: motion}, polynomials [[joint (index), rest, [k1, k2, ...]]] of nonlinear springs
@@ -51,7 +54,7 @@ _SHAPES = {shape.__name__.lower(): shape for shape in PRIMITIVES}
 
 @dataclass
 class SceneData:
-    """The contents of a stored scene, from which `Scene.from_dict` makes one."""
+    """The contents of a stored scene, from which `Scene.from_dict` makes one; apart: as `Scene.with_apart` takes it."""
 
     gravity: np.ndarray
     part: Part
@@ -63,6 +66,7 @@ class SceneData:
     v0: np.ndarray | None
     settings: dict[str, Any]
     camera: Camera | None
+    apart: frozenset[tuple[str, str]]
 
 
 def scene_to_dict(
@@ -84,6 +88,12 @@ def scene_to_dict(
         "pairs": [list(pair) for pair in built.pairs],
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
+        "neutral_overlaps": [
+            {"pair": list(pair), "depth": depth, "restitution": float(e), "friction": float(mu)}
+            for pair, depth, e, mu in zip(
+                built.overlaps.names, built.overlaps.depths, *built.overlap_values, strict=True
+            )
+        ],
         "restitution": contact.restitution.default,
         "friction": contact.friction.default,
         "stiffness": arrays.stiffness.tolist(),
@@ -135,6 +145,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
     model = _model(data)
     collision = _collision(data, model)
     index = {g.name: k for k, g in enumerate(collision.geometryObjects)}
+    overlaps = {tuple(map(str, row["pair"])): str(row["depth"]) for row in data.get("neutral_overlaps", ())}
     part = Part(
         name="stored",
         kind="pinocchio",
@@ -145,6 +156,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         load_visual=lambda: copy_geometry(collision),
         # An empty list means that no pair is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
+        neutral_overlaps={(index[a], index[b]): depth for (a, b), depth in overlaps.items()},
     )
     handles = {
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
@@ -163,6 +175,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         v0=None if data["v0"] is None else vector("v0", data["v0"], model.nv),
         settings=dict(data["settings"]),
         camera=None if data.get("camera") is None else camera_of(data["camera"]),
+        apart=frozenset((str(a), str(b)) for a, b in data["pairs"] if (a, b) in overlaps),
     )
 
 
@@ -187,6 +200,10 @@ def _contact(data: Mapping[str, Any]) -> ContactRules:
     for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
         rules.restitution.set_pair([a], [b], float(e))
         rules.friction.set_pair([a], [b], float(mu))
+    for row in data.get("neutral_overlaps", ()):
+        a, b = row["pair"]
+        rules.restitution.set_pair([a], [b], float(row["restitution"]))
+        rules.friction.set_pair([a], [b], float(row["friction"]))
     return rules
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from contactvi.errors import (
     InputError,
     NotDifferentiable,
     SceneError,
+    UntestedPairWarning,
     UserFunctionError,
 )
 from contactvi.importing.checks import dof_joint
@@ -49,9 +51,13 @@ class CompiledScene:
         engines: of simulations, by their settings, which nobody uses now.
         linearizers: engines that linearise steps, by order and tolerance, which nobody uses now.
         empty_logs: logs without rows, by kind, which runs without events share.
+
+    Of the pairs that overlap at the neutral pose a run tests those that are apart in its start. A compiled scene tests
+    one set of them; `at_start` returns the one for a start, which is made once for each set.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, base: CompiledScene | None = None) -> None:
+        """Compile a scene; base: that of other starts, with which it shares what was made for them."""
         built = scene.built()
         _refuse_missing(scene)
         self.core: _core.Scene = scene.core()
@@ -67,6 +73,51 @@ class CompiledScene:
         self.engines: dict[tuple[Any, ...], list[_core.Simulator]] = {}
         self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
         self.empty_logs: dict[str, Any] = {}
+        self._base = self if base is None else base
+        self._by_apart: dict[frozenset[tuple[str, str]], CompiledScene] = {}  # of the base
+        self._told: set[tuple[str, str]] = set()  # untested pairs of which the base has warned
+
+    def at_start(self, q: Any) -> CompiledScene:
+        """Return the scene with the pairs that a run from q (nq,) tests; None: from the start of the scene.
+
+        Warns (UntestedPairWarning), once for each pair, where shapes of two parts, of which the user has added one to
+        the other, overlap there as in neutral, and are not tested.
+
+        Raises:
+            InputError: for a bad q.
+        """
+        overlaps = self.built.overlaps
+        if not len(overlaps):
+            return self
+        at = overlaps.apart(self.states.configuration(self.q0 if q is None else q))
+        self._warn_of_untested(np.flatnonzero(~at & ~overlaps.same_part))
+        if np.array_equal(at, overlaps.tested):
+            return self
+        base, names = self._base, overlaps.names
+        wanted = frozenset(names[k] for k in np.flatnonzero(at))
+        if np.array_equal(at, base.built.overlaps.tested):
+            return base
+        if wanted not in base._by_apart:
+            base._by_apart.setdefault(wanted, CompiledScene(base._scene.with_apart(wanted), base))
+        return base._by_apart[wanted]
+
+    def same_but_start(self, other: CompiledScene) -> bool:
+        """Return whether both are of one scene, perhaps with pairs for other starts."""
+        return self._base is other._base
+
+    def _warn_of_untested(self, untested: NDArray[np.intp]) -> None:
+        overlaps, told = self.built.overlaps, self._base._told
+        new = [k for k in untested.tolist() if overlaps.names[k] not in told]
+        if not new:
+            return
+        told.update(overlaps.names[k] for k in new)
+        listed = ", ".join(f"{a!r} and {b!r}" for a, b in (overlaps.names[k] for k in new[:3]))
+        more = f" and {len(new) - 3} more" if len(new) > 3 else ""
+        warnings.warn(
+            f"Not tested for contact, because they overlap in the start as in the neutral configuration: {listed}{more}."
+            " Start where they are apart, or move what you have added; scene.disable_pair(a, b) says that it is meant",
+            UntestedPairWarning, stacklevel=5,
+        )  # fmt: skip
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle keeps: the scene, of which all else is made again."""
