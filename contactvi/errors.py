@@ -142,6 +142,26 @@ class PenetrationError(ContactviError):
         super().__init__(what, **texts)
 
 
+class SeparationError(PenetrationError):
+    """Overlaps of a start that cannot be ended, or only by moving bodies too far.
+
+    `pair`, `depth`: of the deepest one. `moves`: how far the bodies would be moved (`Separation.moves`), empty where no
+    way out was found.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        pair: tuple[str, str] | None = None,
+        depth: float | None = None,
+        moves: tuple[Any, ...] = (),
+        **texts: Unpack[_Texts],
+    ) -> None:
+        self.moves = moves
+        super().__init__(what, pair=pair, depth=depth, **texts)
+
+
 class ConstraintError(ContactviError):
     """Constraints that are not met, or cannot be.
 

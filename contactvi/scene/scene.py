@@ -45,6 +45,7 @@ from contactvi.scene.report import scene_report
 from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import Names, PartHandle, Selector
+from contactvi.scene.separation import Separation, separate
 from contactvi.scene.shown import scene_html
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -317,6 +318,38 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         """
         at = self._state(self.q0 if q is None else q)
         return place_on_ground(self.built(), self._parts.assembly.root_of_joint, self.names, part, at, ground)
+
+    def separate(
+        self,
+        q: ArrayLike | None = None,
+        limit: float | None = None,
+        fixed: Sequence[Selector] | Selector = (),
+        t: float = 0.0,
+    ) -> Separation:
+        """Return the configuration nearest to q that has no overlaps, with what was moved for it.
+
+        The change is the smallest one in the metric of the mass matrix, within the limits of joints and on the
+        constraints. Free bodies and bases of robots are moved first, with all joints as they are; where that is not
+        enough, or too far, joints move too, and their changes count a hundredfold. Joints beyond a limit come back to
+        it. What touches in the end touches to rounding. `scene.q0 = scene.separate(q).q` makes it the start of runs;
+        simulate(..., start="separate") does so for one run.
+
+        Args:
+            q: configuration, shape (nq,); None: the scene's q0, else neutral.
+            limit: how far a point of a body may be moved [m]. None: 0.01, and no overlap may be deeper than a quarter
+                of the smaller shape (of the longest edge of its box), because of deeper ones the way out is a guess.
+            fixed: joints that keep their values, by name, pattern or handle.
+            t: time [s], for constraints that depend on it.
+
+        Raises:
+            SeparationError: nothing within the limit ends the overlaps.
+        """
+        built, time = self.built(), real("t", t)
+        at = self._state(self.q0 if q is None else q)
+        most = None if limit is None else real("limit", limit, 0.0)
+        names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
+        dofs = sorted({dof for name in names for dof in dofs_of(built.model, name)})
+        return separate(built, at, most, dofs, time)
 
     def enable_pair(self, a: Selector, b: Selector) -> None:
         """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""
