@@ -126,6 +126,7 @@ class _Inputs:
             q = states.configuration(compiled.q0 if q0 is None else q0)
         else:
             q = self._q0s[k]
+        q, _ = engine.moved_apart(compiled, plan.options, q, 0.0)
         if self._v0s is None:
             v0 = plan.input("v0", k)
             given = compiled.v0 if v0 is None else v0

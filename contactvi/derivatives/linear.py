@@ -142,7 +142,7 @@ def _step_options(compiled: CompiledScene, scene: Scene, dt: float, order: int) 
     """Return the options of one step; those of the last step are kept with the scene."""
     key = (type(dt), dt, type(order), order) if isinstance(dt, float) and isinstance(order, int) else None
     if key is None or compiled.step_options is None or compiled.step_options[0] != key:
-        chosen = {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None}
+        chosen = {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None, "start": "given"}
         chosen["dense"] = compiled.built.constrained  # to see in how many parts the step is made
         compiled.step_options = (key, settings_of(scene, chosen))
     return compiled.step_options[1]

@@ -44,7 +44,7 @@ class StepMap:
     def __init__(self, scene: Scene, dt: float, order: int, state: str, options: dict[str, Any]) -> None:
         inputs.check_choice("state", state, STATES, "Unknown kind of state")
         self.scene, self.order, self.momentum = scene, order, state == "momentum"
-        chosen: dict[str, Any] = {**options, "order": order, "record": "gradient"}
+        chosen: dict[str, Any] = {**options, "order": order, "record": "gradient", "start": "given"}
         self.simulator = Simulator(scene, dt, **chosen)
         self.dt = self.simulator.options.fixed_dt
         self.compiled = compile_scene(scene)

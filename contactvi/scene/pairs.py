@@ -286,7 +286,9 @@ def choose_pairs(
     drop(*_disabled_by_file(assembly, parts))
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
     details = _overlaps(assembly, parts, keep & ~forced & ~(given & ~_checked(assembly, parts)))
-    details |= {pair: text for pair, text in _stored_overlaps(assembly, parts).items() if keep[pair] and not forced[pair]}
+    details |= {
+        pair: text for pair, text in _stored_overlaps(assembly, parts).items() if keep[pair] and not forced[pair]
+    }
     mask = np.zeros((count, count), dtype=bool)
     for pair in details:
         mask[pair] = pair not in apart
@@ -356,9 +358,7 @@ def _reason_at_once(
     return BY_USER if pair in off and pair not in on else None
 
 
-def _masks_within_parts(
-    assembly: Assembly, parts: Sequence[Part], joints: np.ndarray
-) -> list[tuple[np.ndarray, str]]:
+def _masks_within_parts(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> list[tuple[np.ndarray, str]]:
     """Return the reasons that concern pairs within one part, with their masks."""
     given = _given(assembly, parts)
     return [

@@ -336,8 +336,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
 
         Args:
             q: configuration, shape (nq,); None: the scene's q0, else neutral.
-            limit: how far a point of a body may be moved [m]. None: 0.01, and no overlap may be deeper than a quarter
-                of the smaller shape (of the longest edge of its box), because of deeper ones the way out is a guess.
+            limit: how far a point of a body may be moved [m]. None: 0.01, and no overlap of two bodies may be deeper
+                than a quarter of the smaller one (of the longest edge of its box), because the way out is a guess then.
             fixed: joints that keep their values, by name, pattern or handle.
             t: time [s], for constraints that depend on it.
 

@@ -36,6 +36,7 @@ ACCEPTED = 5e-12  # [m, rad] overlap of the result; the engine accepts twice as 
 _CLOSED = 1e-10  # [m, rad] residual of constraints
 _NEAR = 1e-4  # [m] points that are as near as this, besides twice the deepest overlap, are looked at
 _STEPS = 100  # iterations
+_PATIENCE = 15  # iterations without progress
 _SETTLED = 1e-4  # of the whole change: with smaller steps the result is as near as it is going to be
 _TURN = 0.3  # [rad, m] largest change in one iteration
 _CUTS = 8  # iterations after which those before are kept in mind
@@ -136,8 +137,11 @@ def _search(built: Built, q0: Array, dofs: NDArray[np.intp], bases: Array, t: fl
     """Return the best configuration that the iteration finds, its number of steps, and the overlap that is left."""
     if not len(dofs):
         return q0, 0, np.inf
-    model, q = built.model, q0
-    near = _NEAR + 2.0 * max(0.0, -float(gaps(built, q0).min(initial=0.0)))
+    model, q, first = built.model, q0, gaps(built, q0)
+    still = np.all(np.abs(np.asarray(built.engine.gap_gradients(q0))[first < -ACCEPTED][:, dofs]) < 1e-12, axis=1)
+    if still.any():  # These degrees of freedom have no part in it.
+        return q0, 0, np.inf
+    near, least, at_least = _NEAR + 2.0 * max(0.0, -float(first.min(initial=0.0))), np.inf, 0
     L = _factor(built, q0, dofs, bases)
     cuts: list[tuple[Array, Array, Array]] = []  # configuration, gaps and gradients of earlier iterates
     for count in range(_STEPS):
@@ -145,10 +149,11 @@ def _search(built: Built, q0: Array, dofs: NDArray[np.intp], bases: Array, t: fl
         change = np.asarray(pin.difference(model, q0, q))[dofs]
         g, W = _rows(built, q, at, near)
         W = W[:, dofs]
+        own = (q, g, W)
         for where, values, rows in cuts if count > _CUTS else []:
             moved = np.asarray(pin.difference(model, where, q))[dofs]
             g, W = np.concatenate([g, values + rows @ moved]), np.concatenate([W, rows])
-        cuts = [*cuts[-2:], (q, g, W)] if count >= _CUTS else []
+        cuts = [*cuts[-2:], own] if count >= _CUTS else []
         phi, J = _constraints(built, q, t)
         step = _nearest(L, change, g, W, phi, J[:, dofs])
         largest = float(np.abs(step).max(initial=0.0))
@@ -156,12 +161,14 @@ def _search(built: Built, q0: Array, dofs: NDArray[np.intp], bases: Array, t: fl
         settled = largest <= _SETTLED * float(np.abs(change).max(initial=0.0))
         if left <= ACCEPTED and (settled or count == _STEPS - 1):
             return q, count, left
-        if not np.isfinite(largest):
+        worst = max(-float(at.min(initial=0.0)), float(np.abs(phi).max(initial=0.0)))
+        least, at_least = (worst, count) if worst < 0.9 * least else (least, at_least)
+        if not np.isfinite(largest) or (left > ACCEPTED and count - at_least > _PATIENCE):
             break
         full = np.zeros(model.nv)
         full[dofs] = step * min(1.0, _TURN / largest) if largest > 0.0 else step
         q = _within_limits(built, np.asarray(pin.integrate(model, q, full)))
-    return q, _STEPS, _left(built, gaps(built, q), q, t)
+    return q, count, _left(built, gaps(built, q), q, t)
 
 
 def _left(built: Built, at: Array, q: Array, t: float) -> float:
@@ -310,10 +317,10 @@ def _corners(shape: coal.CollisionGeometry) -> Array:
 
 
 def _sizes(built: Built, pair: tuple[str, str]) -> Iterator[float]:
-    """Yield the longest edges of the boxes of the shapes of a pair [m]; a halfspace has none."""
+    """Yield the longest edges of the boxes of the shapes of a pair [m], none with a halfspace, whose way out is known."""
     shapes = {g.name: g.geometry for g in built.collision.geometryObjects}
-    for name in pair:
-        if name in shapes and not isinstance(shapes[name], coal.Halfspace):
+    if not any(isinstance(shapes[name], coal.Halfspace) for name in pair):
+        for name in pair:
             low, high = _box(shapes[name])
             yield float((high - low).max())
 
@@ -357,7 +364,9 @@ def _stuck(built: Built, overlaps: dict[tuple[str, str], float], best: Array | N
     k = int(np.argmin(at)) if len(at) else -1
     off = _residual(built, q, t)
     pair, depth = next(iter(overlaps.items()), ((), 0.0))
-    left = f"{-at[k]:.3g} m or rad left at {' and '.join(map(repr, gap_names(built)[k]))}" if k >= 0 and at[k] < 0 else ""
+    left = (
+        f"{-at[k]:.3g} m or rad left at {' and '.join(map(repr, gap_names(built)[k]))}" if k >= 0 and at[k] < 0 else ""
+    )
     open_ = f"constraints off by {off:.3g} m or rad" if off > _CLOSED else ""
     return SeparationError(
         "The overlaps cannot be ended near this configuration",

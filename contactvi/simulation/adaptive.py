@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import AccuracyWarning, PenetrationError
 from contactvi.interrupts import CtrlC
 from contactvi.options import STAGE_TOLS, Options
+from contactvi.scene.separation import Separation
 from contactvi.simulation import auto_runs, engine
 from contactvi.simulation.auto_contact import COMPANION, LEAST, LOST, SHORTEST, ContactSearch, Judged, judge_contact
 from contactvi.simulation.auto_runs import AutoRun, largest
@@ -89,6 +90,7 @@ def run(
         assert search.refused is not None
         return search.refused.trajectory(None)
     record = engine.record_of(found.run, compiled, kept, search.seconds)
+    record.separation = search.separation
     if found.interrupted:
         record.status = Status.interrupted(float(record.t[-1][-1]))
     if not options.dense:  # the segments were needed for the comparison only
@@ -122,6 +124,7 @@ class _Search:
         self._compiled, self._options, self._progress = compiled, options, progress
         self._given = q0, v0
         self._start: tuple[Array, Array, float] | None = None  # looked at by the first engine
+        self.separation: Separation | None = None  # what was moved for it
         self._stages = options.order // 2
         self._level = _clip(_START * math.sqrt(options.tol))  # of the first run after the companion
         self.seconds = 0.0
@@ -208,7 +211,8 @@ class _Search:
     def _started(self, simulator: _core.Simulator, options: Options) -> _core.Simulator:
         """Return the simulator at the start; raise the error where it is refused."""
         if self._start is None:
-            self._start = engine.checked_start(self._compiled, *self._given, 0.0, simulator)
+            begun = engine.checked_start(self._compiled, self._options, *self._given, 0.0, simulator)
+            self._start, self.separation = begun
         if not engine.accepts(simulator, *self._start):
             self.refused, error = engine.start_checked(simulator, self._compiled, options, *self._start)
             assert error is not None
