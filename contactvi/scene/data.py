@@ -10,9 +10,9 @@ bodies      [{name, joint, placement}]
 geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}]; the pictures of a
             trajectory are stored beside the scene (visuals.py)
 pairs, pair_restitution, pair_friction, restitution, friction (defaults)
-neutral_overlaps [{pair, depth (text), restitution, friction}]: pairs that overlap at the neutral pose, which a run tests
-            where it starts with them apart; those that the stored run tested are among `pairs` too. Not in files of
-            older versions
+neutral_overlaps [{pair, depth (text), one_part, restitution, friction}]: pairs that overlap at the neutral pose, of
+            which a run tests those that are apart in its start; what the stored run tested is among `pairs` too. Not in
+            files of older versions
 stiffness, rest, limits, limit_restitution; start (neutral q); parts {name: {joints, bodies, geometries}}
 dry_friction (nv), servo (3 x nv: kp, kd, effort), actuator (2 x nv: effort, velocity limits; inf: none), targets of
             servos {joint: motion}, polynomials [[joint (index), rest, [k1, k2, ...]]] of nonlinear springs
@@ -89,9 +89,13 @@ def scene_to_dict(
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
         "neutral_overlaps": [
-            {"pair": list(pair), "depth": depth, "restitution": float(e), "friction": float(mu)}
-            for pair, depth, e, mu in zip(
-                built.overlaps.names, built.overlaps.depths, *built.overlap_values, strict=True
+            {"pair": list(pair), "depth": depth, "one_part": bool(one), "restitution": float(e), "friction": float(mu)}
+            for pair, depth, one, e, mu in zip(
+                built.overlaps.names,
+                built.overlaps.depths,
+                built.overlaps.same_part,
+                *built.overlap_values,
+                strict=True,
             )
         ],
         "restitution": contact.restitution.default,
@@ -145,7 +149,10 @@ def _read(data: Mapping[str, Any]) -> SceneData:
     model = _model(data)
     collision = _collision(data, model)
     index = {g.name: k for k, g in enumerate(collision.geometryObjects)}
-    overlaps = {tuple(map(str, row["pair"])): str(row["depth"]) for row in data.get("neutral_overlaps", ())}
+    overlaps = {
+        tuple(map(str, row["pair"])): (str(row["depth"]), bool(row["one_part"]))
+        for row in data.get("neutral_overlaps", ())
+    }
     part = Part(
         name="stored",
         kind="pinocchio",
@@ -156,7 +163,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         load_visual=lambda: copy_geometry(collision),
         # An empty list means that no pair is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
-        neutral_overlaps={(index[a], index[b]): depth for (a, b), depth in overlaps.items()},
+        neutral_overlaps={(index[a], index[b]): row for (a, b), row in overlaps.items()},
     )
     handles = {
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
@@ -182,6 +189,15 @@ def _read(data: Mapping[str, Any]) -> SceneData:
 def target_name(joint: str) -> str:
     """Return the name of the target of a servo in the list of what is missing."""
     return f"target of {joint}"
+
+
+def _overlaps_to_dict(built: Built) -> list[dict[str, Any]]:
+    found = built.overlaps
+    columns = zip(found.names, found.depths, found.same_part, *built.overlap_values, strict=True)
+    return [
+        {"pair": list(pair), "depth": depth, "one_part": bool(one), "restitution": float(e), "friction": float(mu)}
+        for pair, depth, one, e, mu in columns
+    ]
 
 
 def _actuation_to_dict(built: Built) -> dict[str, Any]:

@@ -286,27 +286,20 @@ def choose_pairs(
     drop(*_disabled_by_file(assembly, parts))
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
     details = _overlaps(assembly, parts, keep & ~forced & ~(given & ~_checked(assembly, parts)))
-    details |= {
-        pair: text for pair, text in _stored_overlaps(assembly, parts).items() if keep[pair] and not forced[pair]
-    }
+    stored = _stored_overlaps(assembly, parts)
+    details |= {pair: row[0] for pair, row in stored.items() if keep[pair] and not forced[pair]}
     mask = np.zeros((count, count), dtype=bool)
     for pair in details:
         mask[pair] = pair not in apart
     drop(mask, OVERLAP, details)
     geometry.setCollisionPairs(keep | forced)
-    return Choice(np.argwhere(keep | forced).astype(np.int32), removed, _kept_apart(assembly, details, apart))
-
-
-def _kept_apart(
-    assembly: Assembly, details: dict[tuple[int, int], str], apart: Collection[tuple[int, int]]
-) -> NeutralOverlaps:
-    numbers = np.array(sorted(details), dtype=np.int32).reshape(-1, 2)
-    pairs = [(int(a), int(b)) for a, b in numbers]
-    part = assembly.part_of_geometry
-    return NeutralOverlaps(
-        assembly.model, assembly.collision, assembly.start, numbers, [details[pair] for pair in pairs],
-        np.array([pair in apart for pair in pairs], dtype=bool), part[numbers[:, 0]] == part[numbers[:, 1]],
+    pairs, part = sorted(details), assembly.part_of_geometry
+    overlaps = NeutralOverlaps(
+        assembly.model, geometry, assembly.start, np.array(pairs, dtype=np.int32).reshape(-1, 2),
+        [details[pair] for pair in pairs], np.array([pair in apart for pair in pairs], dtype=bool),
+        np.array([stored[a, b][1] if (a, b) in stored else part[a] == part[b] for a, b in pairs], dtype=bool),
     )  # fmt: skip
+    return Choice(np.argwhere(keep | forced).astype(np.int32), removed, overlaps)
 
 
 def untested_reason(
@@ -351,10 +344,10 @@ def _reason_at_once(
 ) -> str | None:
     """Return why a pair is not tested, of the reasons that need no look at the whole scene."""
     a, b = pair
-    if joints[a] == joints[b]:
-        return SAME_BODY
     if isinstance(objects[a].geometry, coal.Halfspace) and isinstance(objects[b].geometry, coal.Halfspace):
         return HALFSPACES
+    if joints[a] == joints[b]:
+        return SAME_BODY
     return BY_USER if pair in off and pair not in on else None
 
 
@@ -443,13 +436,13 @@ def _given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
     return mask
 
 
-def _stored_overlaps(assembly: Assembly, parts: Sequence[Part]) -> dict[tuple[int, int], str]:
-    """Return the pairs that overlap at the neutral pose of stored scenes, which bring them, with their depths."""
+def _stored_overlaps(assembly: Assembly, parts: Sequence[Part]) -> dict[tuple[int, int], tuple[str, bool]]:
+    """Return the pairs that overlap at the neutral pose of stored scenes: depth, and whether of one part."""
     found = {}
     for index, part in enumerate(parts):
         own = np.flatnonzero(assembly.part_of_geometry == index)
-        for (a, b), text in part.neutral_overlaps.items():
-            found[_ordered(int(own[a]), int(own[b]))] = text
+        for (a, b), row in part.neutral_overlaps.items():
+            found[_ordered(int(own[a]), int(own[b]))] = row
     return found
 
 

@@ -317,7 +317,7 @@ def _corners(shape: coal.CollisionGeometry) -> Array:
 
 
 def _sizes(built: Built, pair: tuple[str, str]) -> Iterator[float]:
-    """Yield the longest edges of the boxes of the shapes of a pair [m], none with a halfspace, whose way out is known."""
+    """Yield the longest edges of the boxes of two shapes [m]; none with a halfspace, whose way out is known."""
     shapes = {g.name: g.geometry for g in built.collision.geometryObjects}
     if not any(isinstance(shapes[name], coal.Halfspace) for name in pair):
         for name in pair:

@@ -48,8 +48,8 @@ class Simulator(PresentDynamics):
             status = sim.step(controller(sim.t, sim.q, sim.v))
 
     Parameters: the scene, dt [s] (a number), and the other options of `Options` (what is not given comes from the
-    scene's file). The scene is taken as it is now; later edits do not reach a running simulator. Of the pairs that overlap
-    at the neutral pose, `reset` takes those in that are apart in its start.
+    scene's file). The scene is taken as it is now; later edits do not reach a running simulator. Of the pairs that
+    overlap at the neutral pose, those are tested that are apart in the start of the last `reset`.
 
     One call at a time: while it steps, other threads and its own callbacks get a SimulationError (callbacks may read t,
     q and v). Threads take a `copy` each.

@@ -114,7 +114,7 @@ class CompiledScene:
         listed = ", ".join(f"{a!r} and {b!r}" for a, b in (overlaps.names[k] for k in new[:3]))
         more = f" and {len(new) - 3} more" if len(new) > 3 else ""
         warnings.warn(
-            f"Not tested for contact, because they overlap in the start as in the neutral configuration: {listed}{more}."
+            f"Not tested for contact, because they overlap in the start as in neutral: {listed}{more}."
             " Start where they are apart, or move what you have added; scene.disable_pair(a, b) says that it is meant",
             UntestedPairWarning, stacklevel=5,
         )  # fmt: skip
