@@ -88,16 +88,7 @@ def scene_to_dict(
         "pairs": [list(pair) for pair in built.pairs],
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
-        "neutral_overlaps": [
-            {"pair": list(pair), "depth": depth, "one_part": bool(one), "restitution": float(e), "friction": float(mu)}
-            for pair, depth, one, e, mu in zip(
-                built.overlaps.names,
-                built.overlaps.depths,
-                built.overlaps.same_part,
-                *built.overlap_values,
-                strict=True,
-            )
-        ],
+        "neutral_overlaps": _overlaps_to_dict(built),
         "restitution": contact.restitution.default,
         "friction": contact.friction.default,
         "stiffness": arrays.stiffness.tolist(),

@@ -151,8 +151,8 @@ def test_derivatives_are_those_of_the_run(scene, raised):
     runs = PerturbedRuns(scene, traj, traj.sensitivity(("q0", "v0")))
     assert len(runs.middle.times) == 1
     assert cvi.linearize(scene, raised, dt=1e-3)[0].shape == (2, 2)
-    outcome = cvi.simultaneous_outcomes(scene, traj.events[0].q, np.array([1.0]), tolerance=1e-6).chosen
-    assert outcome.v_plus == pytest.approx([-0.5], abs=1e-12)
+    outcome = cvi.simultaneous_outcomes(scene, traj.events[0].q, np.array([-1.0]), tolerance=1e-6).chosen
+    assert outcome.v_plus == pytest.approx([0.5], abs=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore::contactvi.UntestedPairWarning")
