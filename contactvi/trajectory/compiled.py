@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.elements.constraints import PrescribedPose
-from contactvi.elements.forces import UserForce, UserPotential
+from contactvi.elements.forces import PathSpring, UserForce, UserPotential
 from contactvi.errors import (
     ConstraintError,
     DerivativeError,
@@ -26,6 +26,7 @@ from contactvi.inputs import short
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
+from contactvi.scene.element_rows import SpringRow
 from contactvi.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -172,6 +173,13 @@ class CompiledScene:
             "driven constraints": any(row.driven for row in found.constraints),
         }
         return next((what for what, is_there in reasons.items() if is_there), None)
+
+    @cached_property
+    def ropes(self) -> list[tuple[str, SpringRow]]:
+        """The springs that act in tension only, with their names."""
+        springs = [element.name for element in self._scene.elements if isinstance(element, PathSpring)]
+        rows = zip(springs, self.built.elements.springs, strict=True)
+        return [(name, row) for name, row in rows if row.tension_only]
 
     def start_velocity(self, q: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         """Return the velocity of a start at q (nq,) for which none was given: rest, or the nearest to it, (nv,)."""
