@@ -113,14 +113,14 @@ def test_a_pile_of_balls():
         scene.separate(limit=1e-3)
 
 
-@pytest.mark.parametrize(
-    "robot",
-    ["solo_description/robots/solo12.urdf", "go2_description/urdf/go2.urdf", "icub_description/robots/icub_reduced.urdf"],
-)  # fmt: skip
+FEET = ("solo_description/robots/solo12", "go2_description/urdf/go2", "icub_description/robots/icub_reduced")
+
+
+@pytest.mark.parametrize("robot", FEET)
 def test_feet_in_the_floor(robot):
     """The base goes up, joints stay as they are to the bit."""
     scene = cvi.Scene()
-    handle = scene.add_urdf(ROBOTS + robot, base="free")
+    handle = scene.add_urdf(f"{ROBOTS}{robot}.urdf", base="free")
     scene.add_halfspace()
     q = scene.place_on_ground(handle)
     q[2] -= SUNK
