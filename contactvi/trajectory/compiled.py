@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import sys
+import threading
 import warnings
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 # Of a velocity of size 1 that becomes a momentum and a velocity again. Of good robots 1e-14 is lost, and half where a
 # motion has no inertia; in between, this share of every velocity of a run is rounding.
 MOST_LOST = 1e-3
+_MOST_STARTS = 32  # sets of pairs, of the last starts, whose scenes are kept
 
 
 class CompiledScene:
@@ -75,7 +78,10 @@ class CompiledScene:
         self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
         self.empty_logs: dict[str, Any] = {}
         self._base = self if base is None else base
-        self._by_apart: dict[frozenset[tuple[str, str]], CompiledScene] = {}  # of the base
+        self._by_apart: dict[
+            frozenset[tuple[str, str]], CompiledScene
+        ] = {}  # of the base, the last one used at its end
+        self._lock = threading.Lock()
         self._told: set[tuple[str, str]] = set()  # untested pairs of which the base has warned
 
     def at_start(self, q: Any) -> CompiledScene:
@@ -98,9 +104,12 @@ class CompiledScene:
         wanted = frozenset(names[k] for k in np.flatnonzero(at))
         if np.array_equal(at, base.built.overlaps.tested):
             return base
-        if wanted not in base._by_apart:
-            base._by_apart.setdefault(wanted, CompiledScene(base._scene.with_apart(wanted), base))
-        return base._by_apart[wanted]
+        with base._lock:
+            found = base._by_apart.pop(wanted, None) or CompiledScene(base._scene.with_apart(wanted), base)
+            base._by_apart[wanted] = found  # now the last one
+            if len(base._by_apart) > _MOST_STARTS:
+                del base._by_apart[next(iter(base._by_apart))]
+        return found
 
     def same_but_start(self, other: CompiledScene) -> bool:
         """Return whether both are of one scene, perhaps with pairs for other starts."""
@@ -117,7 +126,7 @@ class CompiledScene:
         warnings.warn(
             f"Not tested for contact, because they overlap in the start as in neutral: {listed}{more}."
             " Start where they are apart, or move what you have added; scene.disable_pair(a, b) says that it is meant",
-            UntestedPairWarning, stacklevel=5,
+            UntestedPairWarning, stacklevel=_callers(),
         )  # fmt: skip
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -276,6 +285,14 @@ class CompiledScene:
             if isinstance(element, (UserPotential, UserForce)):
                 with contextlib.suppress(UserFunctionError):  # the function need not be defined there
                     check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
+
+
+def _callers() -> int:
+    """Return the stack level, for warnings of the caller, of the first function that is not of contactvi."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "contactvi":
+        frame, level = frame.f_back, level + 1
+    return level
 
 
 def _refuse_missing(scene: Scene) -> None:

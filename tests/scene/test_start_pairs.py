@@ -70,6 +70,10 @@ def test_what_a_run_leaves_out_is_named_once(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         cvi.simulate(scene, duration=0.1)
+    sim = cvi.Simulator(copy.copy(scene), 1e-3)
+    with pytest.warns(cvi.UntestedPairWarning) as found:
+        sim.reset()
+    assert [str(Path(record.filename)) for record in found] == [__file__]
     scene.disable_pair("rod", "wall")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -121,6 +125,9 @@ def test_a_simulator_decides_at_each_reset(scene, raised):
     other.load(saved)
     other.run(1000)
     np.testing.assert_array_equal(other.q, traj.q[-1])
+    sim.load(saved)
+    batch = cvi.simulate_batch(sim, control=np.zeros((2, 1000, 1)), duration=1.0)  # from the state of the simulator
+    np.testing.assert_array_equal(batch.q[:, -1], [traj.q[-1], traj.q[-1]])
     with pytest.raises(cvi.InputError, match="Snapshot"):
         cvi.Simulator(cvi.Scene(), 1e-3).load(saved)
 
