@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import sys
+import inspect
 import threading
 import warnings
 from functools import cached_property
@@ -289,8 +289,8 @@ class CompiledScene:
 
 def _callers() -> int:
     """Return the stack level, for warnings of the caller, of the first function that is not of contactvi."""
-    frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "contactvi":
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "contactvi":
         frame, level = frame.f_back, level + 1
     return level
 
