@@ -65,6 +65,8 @@ class Part:
         disabled: link pairs switched off by the SRDF, with its reason.
         given_pairs: collision pairs (geometry indices) given with the model; None = the default choice.
         checks_overlaps: whether given pairs that overlap in the model's own pose are left out.
+        neutral_overlaps: of stored scenes, pairs (geometry indices) that overlap at the neutral pose, which runs test
+            where they start apart: their depths as text, and whether both shapes were of one part.
         self_collision: whether links of the model may touch each other.
         mimics: mimic tags by joint, for the report.
         data: what else the file says.
@@ -82,6 +84,7 @@ class Part:
     disabled: list[tuple[str, str, str]] = field(default_factory=list)
     given_pairs: list[tuple[int, int]] | None = None
     checks_overlaps: bool = False
+    neutral_overlaps: Mapping[tuple[int, int], tuple[str, bool]] = field(default_factory=dict)
     self_collision: bool = True
     mimics: Mapping[str, object] = field(default_factory=dict)
     data: FileData = field(default_factory=FileData)

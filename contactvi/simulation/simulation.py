@@ -214,6 +214,7 @@ def run_compiled(
 
     Only a run that ends before its time without an error of its own is returned with its status whatever `throw` is.
     """
+    compiled = compiled.at_start(q0)
     if options.auto:
         return adaptive.run(compiled, options, q0, v0, progress, throw, ctrl_c)
     check_map(compiled, options)
