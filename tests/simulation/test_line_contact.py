@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi.records.codes import Change
+from contactvi.records.contacts import ChangeLog
+from contactvi.simulation.simulation import warn_of_broken_promises
 
 R, LENGTH, GAP = 0.05, 0.4, 1e-4
 LIE = (np.pi / 2, 0.0, 0.0)
@@ -20,10 +23,10 @@ def check(scene: cvi.Scene, duration: float, *start, dt: float = 1e-3) -> cvi.Tr
         warnings.simplefilter("ignore", cvi.DenseStepWarning)
         traj = cvi.simulate(scene, *start, duration=duration, dt=dt)
     assert min(scene.gaps(q).min() for q in traj.q) >= -1e-9
-    size = max(float(traj.kinetic_energy.max()), 1e-3)
-    assert np.maximum.accumulate(-traj.energy).max() <= -traj.energy.min() + 1e-12
-    # In one step the energy may swing by what the rule conserves besides it: (a h)^2 m / 12 and (w h)^2 T / 12.
-    assert np.diff(traj.energy).max(initial=0.0) <= 2e-5 * size + 1e-5
+    # In one step the energy may swing by what the rule conserves besides it: (a h)^2 m / 12 and (w h)^2 T / 12, with
+    # accelerations of some 4 g where a point runs along a line; over the run it falls.
+    rise = traj.energy - np.minimum.accumulate(traj.energy)
+    assert rise.max() <= (4 * 9.81 * dt) ** 2 * 1.0 / 12 + 1e-4 * traj.kinetic_energy.max()
     return traj
 
 
@@ -55,11 +58,11 @@ def test_a_roller_comes_to_rest_in_a_vee(kind, on):
     assert len(traj.events) <= 6
     np.testing.assert_allclose(traj.q[-1, :3], [0, 0, z], atol=1e-9)
     assert abs(traj.v[-1]).max() < 1e-9
-    # Each end of each line carries a quarter of what both sides carry together: N = m g / (2 cos 36.87 deg) per side.
+    # What a side carries as normal force and as friction is not unique; together they carry the weight.
     last = traj.contacts.t > 0.49
-    normal = traj.contacts.array("normal")[last]
-    force = np.einsum("ij,ij->i", traj.contacts.force[last], normal)
-    assert force.sum() == pytest.approx(9.81 / np.cos(np.arcsin(0.6)) * np.count_nonzero(last) / 4, rel=1e-6)
+    steps = len(set(traj.contacts.t[last]))
+    assert np.count_nonzero(last) == 4 * steps
+    assert traj.contacts.force[last, 2].sum() == pytest.approx(9.81 * steps, rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["capsule", "cylinder"])
@@ -74,7 +77,7 @@ def test_a_roller_rolls_on_a_parallel_one_as_on_a_circle(kind):
     leaves = next(c for c in traj.contact_changes if c.change == "release").time
     k = int(leaves / 1e-3)
     cosine = traj.q[k, 2] / np.hypot(traj.q[k, 0], traj.q[k, 2])
-    assert cosine == pytest.approx(2 / 3 * np.cos(angle), abs=5e-3)
+    assert cosine == pytest.approx(2 / 3 * np.cos(angle), abs=1e-2)  # a step before it leaves
     assert abs(traj.q[:k, 1] - 0.05).max() < 1e-9
 
 
@@ -94,7 +97,7 @@ def test_a_roller_on_the_end_of_a_standing_cylinder(kind):
     """It lies along a chord, tips over an end of it when pushed down there, and falls back."""
     scene = cvi.Scene()
     scene.add_cylinder("below", 0.08, 0.1, free=False, placement=(0, 0, 0.05))
-    add(scene, kind, "a", (0.03, 0.0, 0.1 + R + GAP), lying(0.3, 0.02))
+    add(scene, kind, "a", (0.03, 0.0, 0.1 + R + 2e-3), lying(0.3, 0.02))
     scene.set_contact(restitution=0.2, friction=0.4)
     traj = check(scene, 0.3)
     assert traj.q[-1, 2] == pytest.approx(0.1 + R, abs=1e-6)
@@ -106,16 +109,8 @@ def test_an_overlap_beyond_what_is_promised_is_told():
     scene.add_halfspace()
     scene.add_sphere("ball", 0.1, 1.0, placement=(0, 0, 0.1))
     traj = cvi.simulate(scene, duration=0.01, dt=1e-3)
-    from contactvi.records.codes import Change
-    from contactvi.simulation.simulation import warn_of_broken_promises
-
-    changes = traj.contact_changes
-    log = {name: np.append(changes.array(name), value) for name, value in (
-        ("time", 0.005), ("kind", 0), ("index", 0), ("point", 0), ("change", int(Change.OVERLAP)), ("value", -2e-8),
-    )}  # fmt: skip
-    told = type(changes).of({**log}) if hasattr(type(changes), "of") else None
-    if told is None:
-        pytest.skip("the log cannot be made by hand")
-    traj.contact_changes = told
+    log = {"time": 0.005, "kind": 0, "index": 0, "point": 0, "change": Change.OVERLAP, "value": -2e-8}
+    arrays = {name: np.array([value]) for name, value in log.items()}
+    traj.contact_changes = ChangeLog(arrays, scene.pair_names, list(scene.model.names))
     with pytest.warns(cvi.AccuracyWarning, match="'ground' and 'ball' by 2e-08 m at t = 0.005 s"):
         warn_of_broken_promises(traj)
