@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import AccuracyWarning, ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
+from contactvi.errors import (
+    AccuracyWarning,
+    ConstraintError,
+    DenseStepWarning,
+    InputError,
+    PenetrationError,
+    SimulationError,
+)
 from contactvi.inputs import callback, check_signature, flag
 from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options

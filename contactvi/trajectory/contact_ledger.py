@@ -30,7 +30,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.importing.joint_kinds import joint_kind
-from contactvi.records.codes import ContactMode, GuardKind
+from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ContactLog
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 
