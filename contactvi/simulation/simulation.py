@@ -172,8 +172,8 @@ def warn_of_broken_promises(traj: Trajectory, stacklevel: int = 3) -> None:
     if overlaps:
         worst = min(overlaps, key=lambda change: change.value)
         warnings.warn(
-            f"Bodies overlap by more than is promised: {worst.pair[0]!r} and {worst.pair[1]!r} by {-worst.value:.2g} m at"
-            f" t = {worst.time:.6g} s, first at t = {overlaps[0].time:.6g} s (traj.contact_changes with 'overlap')."
+            f"Bodies overlap by more than is promised: {worst.pair[0]!r} and {worst.pair[1]!r} by {-worst.value:.2g} m"
+            f" at t = {worst.time:.6g} s, first at t = {overlaps[0].time:.6g} s (traj.contact_changes with 'overlap')."
             " Smaller steps (dt, dt_contact) keep gaps better",
             AccuracyWarning,
             stacklevel=stacklevel,
