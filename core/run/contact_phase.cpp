@@ -117,22 +117,27 @@ bool Simulator::gains_energy() {
   return true;
 }
 
+// The pair that overlaps most at q, among those that the last search found near and those with persistent contacts, and
+// its gap; -1: none by more than is promised.
+int Simulator::deepest_pair(const VecX& q, double& gap) {
+  guards_.place(q);
+  int deepest = -1;
+  const auto look_at = [&](int guard) {
+    if (!scene_->is_pair(guard) || guards_.gap(guard) >= std::min(gap, -guards_.promised(guard))) return;
+    deepest = guard;
+    gap = guards_.gap(guard);
+  };
+  for (int guard : contacts_.guards_with_contacts()) look_at(guard);
+  for (int guard : finder_.active()) look_at(guard);
+  return deepest;
+}
+
 // Whether a pair that touches overlaps at the end of the contact step just solved by more than is promised, and more than
 // at its start: then the step is rejected. One that overlaps already is recorded.
 bool Simulator::sinks_in(Recording& recording, double time) {
   contact_step_.finish(q1_, p1_);
-  guards_.place(q1_);
-  int worst = -1;
   double least = 0.0;
-  const auto look_at = [&](int guard) {
-    if (!scene_->is_pair(guard)) return;
-    const double gap = guards_.gap(guard);
-    if (gap >= std::min(least, -guards_.promised(guard))) return;
-    worst = guard;
-    least = gap;
-  };
-  for (int guard : contacts_.guards_with_contacts()) look_at(guard);
-  for (int guard : finder_.active()) look_at(guard);
+  const int worst = deepest_pair(q1_, least);
   if (worst < 0) return false;
   guards_.place(state_.q);
   const double before = guards_.gap(worst);

@@ -114,3 +114,35 @@ def test_an_overlap_beyond_what_is_promised_is_told():
     traj.contact_changes = ChangeLog(arrays, scene.pair_names, list(scene.model.names))
     with pytest.warns(cvi.AccuracyWarning, match="'ground' and 'ball' by 2e-08 m at t = 0.005 s"):
         warn_of_broken_promises(traj)
+
+
+def two_falling(seed: int, first: str) -> tuple[cvi.Scene, np.ndarray]:
+    """A box or a cylinder, and a cylinder, which fall on the ground and on each other."""
+    rng, scene = np.random.default_rng(seed), cvi.Scene()
+    scene.add_halfspace()
+    turn = tuple(rng.uniform(-3, 3, 3))
+    if first == "box":
+        a = scene.add_box("one", (0.2, 0.15, 0.1), 0.7, placement=((0, 0, 0.4), turn))
+    else:
+        a = scene.add_cylinder("one", 0.08, 0.15, 0.8, placement=((0, 0, 0.4), turn))
+    b = scene.add_cylinder("two", 0.08, 0.15, 0.8, placement=((0.02, 0.01, 0.9), tuple(rng.uniform(-3, 3, 3))))
+    scene.set_contact(restitution=0.5, friction=0.3)
+    turning = {a: (rng.normal(size=3) * 0.2, rng.normal(size=3) * 3),
+               b: (rng.normal(size=3) * 0.2 + [0, 0, -1.5], rng.normal(size=3) * 3)}  # fmt: skip
+    return scene, scene.velocity(turning)
+
+
+@pytest.mark.parametrize(("seed", "first"), [(21, "cylinder"), (74, "box"), (3, "cylinder"), (5, "box")])
+def test_energy_and_losses_of_falling_cylinders(seed, first):
+    """The energy never rises, and friction takes no more than the energy falls by."""
+    scene, v0 = two_falling(seed, first)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", cvi.AccuracyWarning)
+        warnings.simplefilter("ignore", cvi.DenseStepWarning)
+        traj = cvi.simulate(scene, None, v0, 1.0, dt=1e-3)
+    size = float(traj.kinetic_energy.max())
+    assert np.diff(traj.energy).max() <= 1e-5 * size
+    assert np.diff(traj.friction_loss).min() >= -1e-5 * size
+    lost = traj.energy[0] - traj.energy
+    assert abs(lost - traj.friction_loss - traj.impact_loss).max() <= 2e-3 * size
+    assert min(scene.gaps(q).min() for q in traj.q) >= -1e-9
