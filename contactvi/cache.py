@@ -54,8 +54,9 @@ def key(what: str, *parts: bytes | float | str) -> str:
     """
     digest = hashlib.sha256(_programs())
     for part in (what, *parts):
-        data = b"b" + part if isinstance(part, bytes) else b"r" + repr(part).encode()
-        digest.update(len(data).to_bytes(8, "little") + data)
+        kind, data = (b"b", part) if isinstance(part, bytes) else (b"r", repr(part).encode())
+        digest.update((1 + len(data)).to_bytes(8, "little") + kind)
+        digest.update(data)
     return digest.hexdigest()
 
 
