@@ -61,26 +61,33 @@ def open_source(file: Path, report: PartReport) -> Source:
     """
     # MuJoCo's own reader also takes URDF and binary models, and has no limit for the depth of a file.
     texts = _check_files(file)
-    entry = entry_of(file, texts)
+    entry = entry_of(file, texts) or _new_entry_of(file, texts)
     found = None if entry is None else Compiled.found(entry, lambda: meshes_of(_compile(import_mujoco(), file)[0]))
     if found is not None:
         return Source(found, report)
     mujoco = import_mujoco()
     model, warnings = _compile(mujoco, file)
     _check_meshes(model)
-    used = mujoco.mju_getXMLDependencies(str(file))
-    entry = entry_of(file, texts, used) if all(map(os.path.isfile, used)) else None
     made = Compiled.of(mujoco, model, warnings, entry)
     source = Source(made, report)
-    if entry is not None:
+    if entry is not None and entry_of(file, texts) == entry:  # no file has changed while it was compiled
         made.keep(entry)
     return source
+
+
+def _new_entry_of(file: Path, texts: list[tuple[Path, bytes]]) -> str | None:
+    """Return the name of the entry of a model whose files are not known yet; None where not all of them are there."""
+    try:
+        used = import_mujoco().mju_getXMLDependencies(str(file))
+    except (ValueError, RuntimeError):  # the compiler says what is wrong
+        return None
+    return entry_of(file, texts, used) if all(map(os.path.isfile, used)) else None
 
 
 def _compile(mujoco: Any, file: Path) -> tuple[Any, list[str]]:
     """Return the mujoco.MjModel of an MJCF, and what MuJoCo warns of."""
     try:
-        with _warnings_of(mujoco) as warnings:
+        with _warnings_of(mujoco) as warnings, _without_old_meshes(mujoco):
             return mujoco.MjModel.from_xml_path(str(file)), warnings
     except (ValueError, RuntimeError, MemoryError, UnicodeError) as error:
         reason = " ".join(line.strip() for line in str(error).splitlines() if line.strip()) or type(error).__name__
@@ -104,6 +111,21 @@ def _warnings_of(mujoco: Any) -> Iterator[list[str]]:
             yield texts
         finally:
             mujoco.set_mju_user_warning(before)
+
+
+@contextmanager
+def _without_old_meshes(mujoco: Any) -> Iterator[None]:
+    """Keep MuJoCo from taking meshes that it has read before: it knows them by the second of their last change.
+
+    What it makes of them would be kept under the name of what they contain now.
+    """
+    cache = mujoco.mj_getCache()
+    capacity = mujoco.mj_getCacheCapacity(cache)
+    mujoco.mj_setCacheCapacity(cache, 0)
+    try:
+        yield
+    finally:
+        mujoco.mj_setCacheCapacity(cache, capacity)
 
 
 def _check_meshes(model: Any) -> None:
