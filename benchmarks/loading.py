@@ -326,10 +326,7 @@ def one_run(model: str, folder: Path, cache: Path) -> dict[str, float]:
     """Return the seconds of `contactvi run` by part, as it prints them, and of the process."""
     command = [sys.executable, "-c", RUN, "run", model, "-o", str(folder / "run"), "--duration", "0.1"]
     given = {"CONTACTVI_CACHE": str(cache), "COLUMNS": "200"}
-    given |= {
-        "PYTHONPYCACHEPREFIX": str(folder / "modules"),
-        "PYTHONDONTWRITEBYTECODE": "",
-    }  # as of an installed package
+    given |= {"PYTHONPYCACHEPREFIX": str(folder / "modules"), "PYTHONDONTWRITEBYTECODE": ""}  # as if installed
     took, done = seconds(lambda: subprocess.run(command, capture_output=True, text=True, env=os.environ | given))
     found = re.findall(r"(\w+) ([\d.e+-]+) s", next(line for line in done.stdout.splitlines() if "imports" in line))
     return {name: float(value) for name, value in found} | {"all": took}
