@@ -113,7 +113,7 @@ class MeshHulls:
     def take(self, geometry: pin.GeometryObject, file: MeshFile) -> None:
         """Give a geometry the hull of a file, where the cache has it, else its mesh. Raises what coal raises.
 
-        The hull of the mesh is made in a thread of its own, while the next files are read.
+        The hull of the mesh is made in another thread, while the next files are read.
         """
         if file not in self._keys:
             key = self._keys[file] = file.key()
@@ -162,7 +162,9 @@ class MeshHulls:
         if self._maker is None:
             from concurrent.futures import ThreadPoolExecutor  # here: it takes time to import
 
-            self._maker = ThreadPoolExecutor(1)
+            from contactvi.threads import cores
+
+            self._maker = ThreadPoolExecutor(cores())
         self._started[source] = _Started(self._maker.submit(hull_of_points, points, name), key, len(points), volume)
 
 
