@@ -223,7 +223,7 @@ def measured(model: Model, repeats: int) -> Row:
             try:
                 other = min(other, seconds(lambda: compile_by_mujoco(model))[0])
             except ValueError as error:
-                reason = str(error).strip().splitlines()[-1]
+                reason = str(error).strip().splitlines()[0]
     cold, warm, save_cold, save_warm = np.min(found, axis=0).tolist()
     return Row(model.label, float("nan") if reason else other, cold, warm, save_cold, save_warm, reason)
 
