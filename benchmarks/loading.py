@@ -233,6 +233,7 @@ def measured_all(models: list[Model], repeats: int) -> list[Row]:
     import mujoco
 
     mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), 0)
+    mujoco.set_mju_user_warning(lambda text: None)  # which would be written to a file in the working folder
     rows = []
     load(models[0])
     for model in models:
