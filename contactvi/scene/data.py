@@ -37,7 +37,8 @@ from contactvi.elements.stored import element_from_data
 from contactvi.errors import SceneError
 from contactvi.importing.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
 from contactvi.importing.joint_kinds import MANY_DOFS, ONE_DOF, joint_kind, joint_model, motion_axis
-from contactvi.importing.part import Part, copy_geometry
+from contactvi.importing.part import Part
+from contactvi.importing.pictures import pictures_of
 from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
 from contactvi.scene.build import Built
@@ -151,7 +152,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         collision=collision,
         start=vector("start", data["start"], model.nq),
         report=PartReport("scene from stored data"),
-        load_visual=lambda: copy_geometry(collision),
+        load_pictures=lambda: pictures_of(collision),
         # An empty list means that no pair is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
         neutral_overlaps={(index[a], index[b]): row for (a, b), row in overlaps.items()},

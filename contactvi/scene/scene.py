@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from contactvi.errors import InputError, UnusedSettingWarning, did_you_mean
 from contactvi.importing.mjcf.model import MjcfFile
 from contactvi.importing.part import Part
+from contactvi.importing.pictures import Picture
 from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
@@ -481,6 +482,10 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def visual_model(self) -> pin.GeometryModel:
         """The pictures; loaded on first use. Halfspaces are plates."""
         return self._parts.visual
+
+    def pictures(self) -> list[Picture]:
+        """Return what is drawn, as `visual_model` with meshes as plain arrays; loaded on first use."""
+        return self._parts.pictures
 
     @property
     def nq(self) -> int:

@@ -112,6 +112,11 @@ The header is an object with the keys
 
 in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
 
+Meshes are stored as they are drawn: thinned out to what a viewer turns, float32 and uint32, equal ones once. So a run
+is shown where the files of its model are not, and reading it parses none. Nothing is compressed, which would take
+longer than all else of saving; what takes its time is reading the files of the pictures, if they are not in the cache
+(contactvi/cache.py) and the run has not been shown before.
+
 The numbers in event/kind, event/method, event/fallback, contact/mode and change/change are those of
 contactvi.records.codes.
 """
