@@ -21,6 +21,7 @@ from contactvi.errors import (
 from contactvi.inputs import callback, check_signature, flag
 from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
+from contactvi.records.codes import Change
 from contactvi.simulation import adaptive
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import remedy
@@ -131,13 +132,15 @@ def simulate(
         else:
             traj = run_compiled(compiled, settings, q0, v0, inputs, target, called, throw, ctrl_c)
         dense = settings.contact_mode == "auto" and traj.stats.dense_steps > 0
+        broken = broken_promises(traj)
         if ctrl_c.settle() and traj.status.ok:  # between the end of the run and now
             traj.status = Status.interrupted(traj.status.time)
         if throw and not traj.status.ok:
             raise ended_early(settings, traj.status, traj)
         if dense:
             warn_of_dense_steps(traj)
-        warn_of_broken_promises(traj)
+        for text in broken:
+            warnings.warn(text, AccuracyWarning, stacklevel=2)
         return traj
 
 
@@ -166,28 +169,25 @@ def warn_of_dense_steps(traj: Trajectory, stacklevel: int = 3) -> None:
     )
 
 
-def warn_of_broken_promises(traj: Trajectory, stacklevel: int = 3) -> None:
-    """Warn where bodies overlap, or the energy rises in dense steps, by more than the error of a step."""
-    overlaps = [change for change in traj.contact_changes if change.change == "overlap"]
-    if overlaps:
-        worst = min(overlaps, key=lambda change: change.value)
-        warnings.warn(
+def broken_promises(traj: Trajectory) -> list[str]:
+    """Return in words where bodies overlap, or the energy rises in dense steps, by more than the error of a step."""
+    told, changes, rises = [], traj.contact_changes, traj.dense_steps["energy_rise"]
+    overlaps = np.flatnonzero(changes.array("change") == Change.OVERLAP)
+    if len(overlaps):
+        first, worst = changes[int(overlaps[0])], changes[int(overlaps[np.argmin(changes.array("value")[overlaps])])]
+        told.append(
             f"Bodies overlap by more than is promised: {worst.pair[0]!r} and {worst.pair[1]!r} by {-worst.value:.2g} m"
-            f" at t = {worst.time:.6g} s, first at t = {overlaps[0].time:.6g} s (traj.contact_changes with 'overlap')."
-            " Smaller steps (dt, dt_contact) keep gaps better",
-            AccuracyWarning,
-            stacklevel=stacklevel,
+            f" at t = {worst.time:.6g} s, first at t = {first.time:.6g} s (traj.contact_changes with 'overlap')."
+            " Smaller steps (dt, dt_contact) keep gaps better"
         )
-    rises = traj.dense_steps["energy_rise"]
     if np.any(rises > 0.0):
-        k, first = int(np.argmax(rises)), int(np.argmax(rises > 0.0))
-        warnings.warn(
+        k, since = int(np.argmax(rises)), int(np.argmax(rises > 0.0))
+        told.append(
             f"The energy rises by more than the error of a dense step: by {rises[k]:.2g} J at t ="
-            f" {traj.dense_steps.t[k]:.6g} s, first at t = {traj.dense_steps.t[first]:.6g} s"
-            " (traj.dense_steps['energy_rise'])",
-            AccuracyWarning,
-            stacklevel=stacklevel,
+            f" {traj.dense_steps.t[k]:.6g} s, first at t = {traj.dense_steps.t[since]:.6g} s"
+            " (traj.dense_steps['energy_rise'])"
         )
+    return told
 
 
 def _check_auto(compiled: CompiledScene, inputs: str | None) -> None:

@@ -9,8 +9,9 @@ namespace contactvi {
 
 namespace {
 constexpr double kShare = 1.0 / 12.0;  // of the squares of angles and changes of velocity, see energy_error
-constexpr double kGauss = 10.0;        // of the accelerations without contacts: those with them are hardly more, see energy_error
-constexpr double kGapError = 1e-9;     // [m] of an overlap that a nominal step may move bodies out of
+constexpr double kGauss =
+    10.0;  // of the accelerations without contacts: those with them are hardly more, see energy_error
+constexpr double kGapError = 1e-9;  // [m] of an overlap that a nominal step may move bodies out of
 }  // namespace
 
 double ContactStep::joint_friction_loss() const {

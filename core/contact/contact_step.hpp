@@ -137,9 +137,9 @@ class ContactStep final : public Stepper {
     VecX q, phi, rate;  // residuals of the constraints, and their partial derivatives d phi/dt
     std::vector<Contact> at;
     std::vector<Vec3> t1;
-    std::vector<Vec3> side;  // of rims: direction from the centre to the contact point, world
+    std::vector<Vec3> side;              // of rims: direction from the centre to the contact point, world
     std::vector<Eigen::Vector2d> along;  // see Manifolds::place_along
-    MatX W;                  // nv x rows
+    MatX W;                              // nv x rows
   };
 
   // A degree of freedom with joint friction.

@@ -25,9 +25,9 @@ constexpr double kFastFall = 4.0;          // contacts that close faster than th
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
-constexpr double kBothEnds = 2.0;         // the force of a contact acts half at the start of the step, half at its end
-constexpr double kLifted = 1e-7;          // of the kinetic energy: what an impact moves gaps by within their rounding is less
-constexpr double kEnergyShare = 1e-8;      // of the kinetic energy: smaller gains are not worth a shorter step
+constexpr double kBothEnds = 2.0;          // the force of a contact acts half at the start of the step, half at its end
+constexpr double kLifted = 1e-7;  // of the kinetic energy: what an impact moves gaps by within their rounding is less
+constexpr double kEnergyShare = 1e-8;  // of the kinetic energy: smaller gains are not worth a shorter step
 
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
 // inside of it; where none do the sweeps and Newton's method reach 1e-8.

@@ -8,9 +8,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kClosed = 1e-12;    // [m] below this gap a contact without load takes part in the velocity impulse
-constexpr double kRun = 0.1;         // of the shorter line: how far the one point of two lines may run along them in a step
-constexpr double kSwing = 0.95;      // cosine of the angle by which the contact point of a rim may run around in a step
+constexpr double kClosed = 1e-12;  // [m] below this gap a contact without load takes part in the velocity impulse
+constexpr double kRun = 0.1;     // of the shorter line: how far the one point of two lines may run along them in a step
+constexpr double kSwing = 0.95;  // cosine of the angle by which the contact point of a rim may run around in a step
 constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 

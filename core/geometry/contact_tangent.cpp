@@ -54,7 +54,8 @@ bool ContactTangent::take_point(const ContactPoint& p) {
     return set_system();
   }
   if (p.kind == PointKind::kEnd || p.kind == PointKind::kRimLine) {
-    surface_[1 - side] = ContactSurface::line("side", across - p.offset * outward(1 - side), other.R * p.normal_B, p.offset);
+    surface_[1 - side] =
+        ContactSurface::line("side", across - p.offset * outward(1 - side), other.R * p.normal_B, p.offset);
     surface_[side] = p.kind == PointKind::kEnd ? ContactSurface::point("end of a line", own.point(p.center_B), p.radius)
                                                : ContactSurface::rim(own.point(p.center_B), own.R * p.axis_B,
                                                                      p.rim_radius, outward(side), p.radius);

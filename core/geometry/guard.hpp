@@ -212,17 +212,17 @@ class Guards {
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
   DistanceBounds distance_bounds_;
-  std::vector<double> linear_;          // per body: bound on its origin's displacement
-  Reach motion_, doubt_, expected_;     // expected: in a reference step of the span
-  std::vector<double> odometer_;        // per geometry
-  std::vector<double> interval_start_;  // as it was where the interval began, kept where it is about to change
-  double interval_used_ = 0.0;          // of the span, where the interval began
-  bool any_look_ = false;               // whether a step of the interval looked at guards
-  long spans_ = 0;                      // how many spans have begun
+  std::vector<double> linear_;            // per body: bound on its origin's displacement
+  Reach motion_, doubt_, expected_;       // expected: in a reference step of the span
+  std::vector<double> odometer_;          // per geometry
+  std::vector<double> interval_start_;    // as it was where the interval began, kept where it is about to change
+  double interval_used_ = 0.0;            // of the span, where the interval began
+  bool any_look_ = false;                 // whether a step of the interval looked at guards
+  long spans_ = 0;                        // how many spans have begun
   static constexpr double kNoises = 4.0;  // tolerances of depth
   std::vector<double> gap_;               // of each guard at its last evaluation,
   std::vector<long> gap_for_;             // and the configuration of that
-  std::vector<double> marks_;           // per guard: odometer sum up to which it may be skipped
+  std::vector<double> marks_;             // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
   bool span_ended_ = false;  // whether the step whose motion is bounded follows one of a span

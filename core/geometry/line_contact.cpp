@@ -18,9 +18,9 @@ constexpr double kOutsideNext = 0.1;
 // of persistent contacts are kept to.
 constexpr double kFlatSag = 2e-11;
 constexpr int kNewton = 12;
-constexpr double kMostTurn = 0.3;       // of a point on a rim in one step of Newton's method [rad]
-constexpr double kConverged = 1e-15;    // such a turn is rounding
-constexpr double kLeastBend = 1e-3;     // of the second derivative of the distance along the rim
+constexpr double kMostTurn = 0.3;     // of a point on a rim in one step of Newton's method [rad]
+constexpr double kConverged = 1e-15;  // such a turn is rounding
+constexpr double kLeastBend = 1e-3;   // of the second derivative of the distance along the rim
 
 // One of the two lines with its shape, and the other one.
 struct Lying {
@@ -153,7 +153,8 @@ void list_line_ends(const PairView& v, int i, const Line& a, int j, const Line& 
   if (a.radius + b.radius < kLeastSweep) return;
   const bool along_each_other = a.direction.cross(b.direction).squaredNorm() <= kAlong * kAlong;
   for (bool on_b : {false, true}) {
-    const Lying l = on_b ? Lying{v.b, v.a, &v.pose_b, &b, &a, j, i, true} : Lying{v.a, v.b, &v.pose_a, &a, &b, i, j, false};
+    const Lying l =
+        on_b ? Lying{v.b, v.a, &v.pose_b, &b, &a, j, i, true} : Lying{v.a, v.b, &v.pose_a, &a, &b, i, j, false};
     if (!l.shape->rims.empty())
       add_rims(v, l, upcoming, sink);
     else if (along_each_other)

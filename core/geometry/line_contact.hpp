@@ -8,7 +8,7 @@
 // Both stay what they are when the bodies tip. Lines that cross at an angle are nearest between the ends, in one point.
 #pragma once
 
-#include "geometry/candidates.hpp"
+#include "geometry/contact_features.hpp"
 
 namespace contactvi {
 

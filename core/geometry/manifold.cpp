@@ -399,7 +399,8 @@ double Manifolds::include_witness(int pair, const Placements& at, const ContactP
 }
 
 bool Manifolds::has_lines(int pair) const {
-  return features(pair, scene_->pairs[pair].a).edges.size() == 1 && features(pair, scene_->pairs[pair].b).edges.size() == 1;
+  return features(pair, scene_->pairs[pair].a).edges.size() == 1 &&
+         features(pair, scene_->pairs[pair].b).edges.size() == 1;
 }
 
 bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
@@ -603,8 +604,8 @@ ContactPoint Manifolds::frozen_on_lines(const ContactPoint& point, const Placeme
   return p;
 }
 
-ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness,
-                               double turn, double moved) const {
+ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn,
+                               double moved) const {
   ContactPoint p = point;
   if (point.kind == PointKind::kRim) {
     const Vec3 n = turned_B(at, point.point_body, turned_W(at, point.plane_body, point.normal_B));

@@ -56,7 +56,8 @@ struct ContactRows {
     step.push_back(step_number);
     gap.push_back(phi);
     for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&position_impulse, &first),
-                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity), std::pair(&slip_before, &velocity_before)})
+                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity),
+                               std::pair(&slip_before, &velocity_before)})
       list->insert(list->end(), value->data(), value->data() + 3);
   }
   void cut(std::size_t rows) {

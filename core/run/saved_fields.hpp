@@ -132,10 +132,10 @@ void fields(Archive& a, PersistentContact& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactOutcome& x) {
-  auto& [contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W, slip_before_W, w_n,
-         slipped, slips, turned, reversed, active, keeps, freed, slip, paradox] = x;
-  values(a, contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W, slip_before_W, w_n,
-         slipped, slips, turned, reversed, active, keeps, freed, slip, paradox);
+  auto& [contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
+         slip_before_W, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox] = x;
+  values(a, contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
+         slip_before_W, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox);
 }
 
 template <class Archive>
@@ -278,8 +278,10 @@ void fields(Archive& a, Segments& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactRows& x) {
-  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense, point, step] = x;
-  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense, point, step);
+  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense, point,
+         step] = x;
+  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense,
+         point, step);
 }
 
 template <class Archive>
