@@ -137,11 +137,17 @@ def simulate(
             traj.status = Status.interrupted(traj.status.time)
         if throw and not traj.status.ok:
             raise ended_early(settings, traj.status, traj)
-        if dense:
-            warn_of_dense_steps(traj)
-        for text in broken:
-            warnings.warn(text, AccuracyWarning, stacklevel=2)
+        if dense or broken:
+            _warn(traj, dense, broken)
         return traj
+
+
+def _warn(traj: Trajectory, dense: bool, broken: list[str]) -> None:
+    """Warn, at the line that called the caller, that a run took dense steps, and of what it did not keep."""
+    if dense:
+        warn_of_dense_steps(traj, stacklevel=4)
+    for text in broken:
+        warnings.warn(text, AccuracyWarning, stacklevel=3)
 
 
 def ended_early(options: Options, status: Status, traj: Trajectory | None) -> SimulationError:

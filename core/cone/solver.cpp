@@ -99,7 +99,8 @@ bool ConeSolver::keep_better(double* lambda, int rows) {
 }
 
 bool ConeSolver::may_rescue(const ConeProblem& problem) {
-  // A contact that goes on slipping in a given direction may have no solution (Painleve's paradox): the caller frees it.
+  // A contact that goes on slipping in a given direction may have no solution (Painleve's paradox): the caller frees
+  // it.
   for (const ConeContact& c : problem.contacts)
     if (c.frozen && c.rows == 3) return false;
   const int rows = static_cast<int>(problem.b.size());

@@ -30,9 +30,9 @@ double ContactStep::driven_work() const {
 // The energy that a midpoint step conserves differs from H by h^2 (a.M a and T omega^2) / 12 or less, and what it
 // differs by changes in the step. Forces of contacts and constraints that persist change the accelerations by no more
 // than those without them and the turning of the bodies ask for (Gauss's principle of least constraint): impulses that
-// are those of an impact excuse no gain. Persistent contacts do no work but where they move bodies out of an overlap. Driven
-// constraints move by the mean of their speeds at both nodes, the trapezoid of which driven_work() is the work, and the
-// bodies by the step: where these differ so does what their forces do.
+// are those of an impact excuse no gain. Persistent contacts do no work but where they move bodies out of an overlap.
+// Driven constraints move by the mean of their speeds at both nodes, the trapezoid of which driven_work() is the work,
+// and the bodies by the step: where these differ so does what their forces do.
 double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) {
   const double turn = largest_turn(scene_->tree, v_, h_);
   const double kinetic = 0.5 * std::max(p0.dot(v_start_), p1.dot(v1_));

@@ -35,8 +35,8 @@ double along(const Line& line, const Vec3& x) { return (x - line.start).dot(line
 
 bool is_over(const Line& line, double s) { return s >= -kBorder && s <= line.length + kBorder; }
 
-// Adds the point x of the core of one shape, which is swept by `sweep`, over the line of the other. from_line: from that
-// line to x.
+// Adds the point x of the core of one shape, which is swept by `sweep`, over the line of the other. from_line: from
+// that line to x.
 void add(const PairView& v, const Lying& l, Feature kind, int i, const Vec3& x, const Vec3& from_line, double sweep,
          CandidateSink& sink) {
   const double distance = from_line.norm(), gap = distance - sweep - l.other->radius;

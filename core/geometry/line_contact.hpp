@@ -1,10 +1,10 @@
 // Contact along a line: edges of polytopes and axes of capsules and cylinders, each swept by a radius.
 //
-// Parallel lines touch along the segment that they have in common, and a line that lies on the end of a cylinder touches
-// it along a chord. Such a contact has two points, the ends of the segment, each with a gap of its own:
+// Parallel lines touch along the segment that they have in common, and a line that lies on the end of a cylinder
+// touches it along a chord. Such a contact has two points, the ends of the segment, each with a gap of its own:
 //   kEndA, kEndB   the end of a capsule's axis or of an edge, over the other line: a sphere against a line
-//   kRimLineA, B   the rim of a cylinder against a line, at the end of its side or where a chord of its end leaves it: a
-//                  circle against a line, at a place where the two are nearest
+//   kRimLineA, B   the rim of a cylinder against a line, at the end of its side or where a chord of its end leaves it:
+//                  a circle against a line, at a place where the two are nearest
 // Both stay what they are when the bodies tip. Lines that cross at an angle are nearest between the ends, in one point.
 #pragma once
 

@@ -580,8 +580,8 @@ void Manifolds::find_ends(int pair, const Placements& at, double margin, std::ve
   for (const Candidate& c : found_) points.push_back(make_point(pair, v, c, Vec3::Zero()));
 }
 
-// Where the one point of two axes lies between their ends and may run along them as the bodies turn, the point of b over
-// the axis of a.
+// Where the one point of two axes lies between their ends and may run along them as the bodies turn, the point of b
+// over the axis of a.
 ContactPoint Manifolds::frozen_on_lines(const ContactPoint& point, const Placements& at, const Contact& contact,
                                         double turn, double moved) const {
   const PairView v = view(point.guard, at);

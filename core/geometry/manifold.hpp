@@ -17,11 +17,12 @@
 // (2) Vertices of either body over a face of the other (kVertex), and crossings of an edge of one with an edge of the
 //     other (kEdge), on the flat sides that face each other where the pair is nearest. The axis of a lying capsule or
 //     cylinder, swept by its radius, is one more edge. Steeply inclined pairs have one such point, which is exact.
-// (3) Lines that lie along each other, edges or axes swept by a radius, touch at both ends of the segment that they have
-//     in common, ends of lines (kEnd) or rims (kRimLine); so do they in all pairs of polytopes, cylinders and capsules
-//     (line_contact.hpp).
+// (3) Lines that lie along each other, edges or axes swept by a radius, touch at both ends of the segment that they
+//     have in common, ends of lines (kEnd) or rims (kRimLine); so do they in all pairs of polytopes, cylinders and
+//     capsules (line_contact.hpp).
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
-//     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two capsules.
+//     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two
+//     capsules.
 //
 // The gap of a vertex is its distance from the face that it lies over, not from a common plane: when a body tips, one
 // or two points keep a gap of zero, and the gaps of the others grow.
@@ -83,28 +84,28 @@ class Manifolds {
   // The point of a known feature (not one where a rim crosses a side), whether it touches or not.
   ContactPoint point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const;
 
-  // The nearest feature of a pair with a halfspace and the nearest points of two capsules, without coal; false for other
-  // pairs and for ellipsoids. Coal makes cylinders 1e-10 of their size larger where they stand or lie exactly along the
-  // normal, and takes a wrong point of capsules at an angle below 1e-4 rad, up to 4e-7 m too far.
+  // The nearest feature of a pair with a halfspace and the nearest points of two capsules, without coal; false for
+  // other pairs and for ellipsoids. Coal makes cylinders 1e-10 of their size larger where they stand or lie exactly
+  // along the normal, and takes a wrong point of capsules at an angle below 1e-4 rad, up to 4e-7 m too far.
   bool nearest(int pair, const Placements& at, Contact& contact);
 
   // Coal's contact of the pair, to rounding (nearest_features.hpp). False where it stays as it is.
   bool refine(int pair, const Placements& at, Contact& contact) const;
 
-  // Sets the farthest point of a rim, and the point where it is nearest to a line, which move as the rim rolls, to those
-  // of these placements.
+  // Sets the farthest point of a rim, and the point where it is nearest to a line, which move as the rim rolls, to
+  // those of these placements.
   void update_rim(ContactPoint& point, const Placements& at) const;
   // Appends the ends of two axes that lie over the other one with gap <= margin, also of those that would touch next.
   void find_ends(int pair, const Placements& at, double margin, std::vector<ContactPoint>& points);
 
   // The point as one that moves with the bodies, where these are placed: the lowest point of a rim, the witness of
   // shapes with edges, and the crossing of edges that become parallel where the bodies turn by `turn` [rad], become a
-  // point of one body over a plane of the other; points of an axis that run along it, where the bodies turn like this or
-  // an end of the axis moves by `moved` [m], points over the other axis. Other points stay what they are.
+  // point of one body over a plane of the other; points of an axis that run along it, where the bodies turn like this
+  // or an end of the axis moves by `moved` [m], points over the other axis. Other points stay what they are.
   ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn,
                       double moved) const;
-  // Where the one point of two lines lies along that of a and that of b [m]: zero for other points. Lines that are nearly
-  // parallel turn little for it to run far.
+  // Where the one point of two lines lies along that of a and that of b [m]: zero for other points. Lines that are
+  // nearly parallel turn little for it to run far.
   Eigen::Vector2d place_along(const ContactPoint& point, const Placements& at, const Contact& contact) const;
   // From one such place to another, as a part of the shorter line.
   double run(const ContactPoint& point, const Eigen::Vector2d& from, const Eigen::Vector2d& to) const;

@@ -132,8 +132,8 @@ int Simulator::deepest_pair(const VecX& q, double& gap) {
   return deepest;
 }
 
-// Whether a pair that touches overlaps at the end of the contact step just solved by more than is promised, and more than
-// at its start: then the step is rejected. One that overlaps already is recorded.
+// Whether a pair that touches overlaps at the end of the contact step just solved by more than is promised, and more
+// than at its start: then the step is rejected. One that overlaps already is recorded.
 bool Simulator::sinks_in(Recording& recording, double time) {
   contact_step_.finish(q1_, p1_);
   double least = 0.0;
