@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi import cache
-from contactvi.importing.hulls import check_shape, faces_by_engine, hull_by_engine, hull_of_points
+from contactvi.importing.hulls import check_shape, crowded_text, faces_by_engine, hull_by_engine, hull_of_points
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
 from contactvi.importing.report import PartReport, number
 from contactvi.importing.submeshes import volume_of
@@ -53,12 +53,11 @@ class MeshHull:
     """The hull of a mesh.
 
     Attributes:
-        shape: the hull. grid: to which it was thinned [m], 0 for an exact one.
+        shape: the hull.
         count: number of vertices of the mesh. volume: of the mesh [m^3], which means nothing for an open surface.
     """
 
     shape: coal.Convex
-    grid: float
     count: int
     volume: float
 
@@ -66,14 +65,14 @@ class MeshHull:
     def found(name: str) -> MeshHull | None:
         """Return the hull in the cache."""
         kept = find_hull(name)
-        if kept is None or kept.numbers.shape != (3,):
+        if kept is None or kept.numbers.shape != (2,):
             return None
-        grid, count, volume = kept.numbers.tolist()
-        return MeshHull(hull_by_engine(kept.vertices, kept.faces), grid, int(count), volume)
+        count, volume = kept.numbers.tolist()
+        return MeshHull(hull_by_engine(kept.vertices, kept.faces), int(count), volume)
 
     def keep(self, name: str) -> None:
         """Write it into the cache."""
-        numbers = np.array([self.grid, self.count, self.volume])
+        numbers = np.array([self.count, self.volume])
         keep_hull(name, KeptHull(np.array(self.shape.points()), faces_by_engine(self.shape), numbers))
 
 
@@ -85,7 +84,7 @@ class MeshHulls:
         self._keys: dict[MeshFile, str | None] = {}
         self._hulls: dict[MeshFile, MeshHull] = {}
         self._meshes: dict[MeshFile, coal.BVHModelBase] = {}
-        self._made: dict[MeshFile, Future[tuple[coal.Convex, float]]] = {}
+        self._made: dict[MeshFile, Future[coal.Convex]] = {}
         self._maker: ThreadPoolExecutor | None = None
 
     def take(self, geometry: pin.GeometryObject, file: MeshFile) -> None:
@@ -119,14 +118,14 @@ class MeshHulls:
             return None
         if file is None:
             return _hull_of(mesh, geometry.name)
-        shape, grid = self._made[file].result()
+        shape = self._made[file].result()
         volume = volume_of(mesh, file.path, np.array(file.scale))
-        hull = self._hulls[file] = MeshHull(shape, grid, int(mesh.num_vertices), volume)
+        hull = self._hulls[file] = MeshHull(shape, int(mesh.num_vertices), volume)
         if (key := self._keys[file]) is not None:
             hull.keep(key)
         return hull
 
-    def _start(self, mesh: coal.BVHModelBase, name: str) -> Future[tuple[coal.Convex, float]]:
+    def _start(self, mesh: coal.BVHModelBase, name: str) -> Future[coal.Convex]:
         """Start making a hull."""
         if self._maker is None:
             from concurrent.futures import ThreadPoolExecutor  # here: it takes time to import
@@ -151,8 +150,8 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport, hulls: Me
     text = f"mesh of {hull.count} vertices -> hull of {hull.shape.num_points}"
     if np.isfinite(ratio):
         text += f", volume x {number(ratio)}"
-    if hull.grid > 0.0:
-        text += f", thinned to a grid of {number(hull.grid)} m"
+    if crowded := crowded_text(hull.shape):
+        text += f", {crowded}"
     report.note("changed", "mesh", geometry.name, "replaced by its convex hull")
     if np.isfinite(ratio) and ratio > 2.0:
         report.note("suspicious", "mesh", geometry.name, "the hull has more than twice the volume of the mesh")
@@ -165,7 +164,6 @@ def _hull_of(mesh: coal.BVHModelBase, name: str) -> MeshHull:
     key = cache.key("hull of a mesh", np.array(mesh.vertices()).tobytes(), volume)
     if (found := MeshHull.found(key)) is not None:
         return found
-    shape, grid = hull_of_points(mesh.vertices(), name)
-    made = MeshHull(shape, grid, int(mesh.num_vertices), volume)
+    made = MeshHull(hull_of_points(mesh.vertices(), name), int(mesh.num_vertices), volume)
     made.keep(key)
     return made

@@ -20,9 +20,9 @@ from contactvi.files import checked_path
 from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.joint_kinds import ONE_DOF, joint_kind
 from contactvi.importing.mesh_hulls import MeshHulls
-from contactvi.importing.meshes import collision_geometry, visual_geometry
+from contactvi.importing.meshes import collision_geometry, visual_geometry, without_shapes
 from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
-from contactvi.importing.mjcf.model import SOLREF, Choices, MjcfFile, part_of
+from contactvi.importing.mjcf.model import ALLOWED, SOLREF, Choices, MjcfFile, part_of
 from contactvi.importing.part import Part, copy_geometry
 from contactvi.importing.paths import resolve_path
 from contactvi.importing.prepare import finish, neutral, reported
@@ -45,6 +45,7 @@ def import_urdf(
     folder: Path | None = None,
     mimic: Any = True,
     armature: Any = None,
+    contact_friction: Any = False,
 ) -> Part:
     """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
 
@@ -60,18 +61,20 @@ def import_urdf(
             remedy="Use base='free' for a robot that can move away, base='fixed' for one that is bolted down",
         )
     mimic, prefix = flag("mimic", mimic), words("prefix", prefix)
+    contact_friction = flag("contact_friction", contact_friction)
     for entry in listed("package_dirs", package_dirs, "folders"):
         checked_path(entry, "package_dirs")
     file = resolve_path(path, folder, package_dirs)
     report, hulls = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}"), MeshHulls()
     with reported(report, file):
-        urdf = read_urdf(file, package_dirs, report, mimic)
+        urdf = read_urdf(file, package_dirs, report, mimic, contact_friction)
         report.prefix_names(prefix)
         report.title = f"{prefix}{urdf.name}: URDF {file}, base {base}"
+        tree = without_shapes(urdf.xml)
         if base == "free":
-            model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
+            model = _parse(file, lambda: pin.buildModelFromXML(tree, pin.JointModelFreeFlyer(), ROOT_JOINT))
         else:
-            model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml))
+            model = _parse(file, lambda: pin.buildModelFromXML(tree))
         collision = _parse(file, lambda: collision_geometry(model, urdf.xml, hulls))
         _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
@@ -85,10 +88,11 @@ def import_urdf(
             load_visual=lambda: _visual(file, lambda: visual_geometry(model, urdf.xml), collision),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
-            disabled=found.pairs,
+            disabled=[*urdf.filtered, *found.pairs],
             mimics=urdf.mimics,
         )
         finish(part, file.name, hulls)
+        part.data.contact.update({(name,): (value, None) for name, value in urdf.friction.items()})
         part.data.elements += mimic_constraints(part, urdf.mimics, mimic)
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
@@ -141,6 +145,7 @@ def import_mjcf(
     equality: Any = True,
     actuators: Any = True,
     restitution: Any = 0.0,
+    allow: Any = (),
 ) -> Part:
     """Return the part of an MJCF; arguments as in Scene.add_mjcf, gravity [m/s^2] is the scene's.
 
@@ -148,17 +153,34 @@ def import_mjcf(
     """
     if not (restitution is None or restitution == SOLREF):
         restitution = real("restitution", restitution, 0.0, 1.0)
-    prefix = words("prefix", prefix)
+    prefix, kinds = words("prefix", prefix), _allowed(allow)
     report = opened.source.report
     with reported(report, opened.path):
         part = part_of(
             opened,
-            Choices(prefix, placement, gravity, flag("equality", equality), flag("actuators", actuators), restitution),
+            Choices(
+                prefix, placement, gravity, flag("equality", equality), flag("actuators", actuators), restitution, kinds
+            ),
         )
         report.prefix_names(prefix)
         report.title = f"{part.name}: MJCF {opened.path}"
         finish(part, opened.path.name, MeshHulls())
     return part
+
+
+def _allowed(allow: Any) -> tuple[str, ...]:
+    """Return the argument allow as a tuple."""
+    found = tuple(listed("allow", [allow] if isinstance(allow, str) else allow, "kinds of elements"))
+    for kind in found:
+        if kind not in ALLOWED:
+            raise InputError(
+                "Argument allow",
+                name="allow",
+                expected=" | ".join(map(repr, ALLOWED)),
+                got=short(kind),
+                remedy="allow=('flex',) loads a file with deformable bodies, without their elasticity",
+            )
+    return found
 
 
 def _parse(file: Path, build: Callable[[], Any]) -> Any:

@@ -43,13 +43,15 @@ KEYS: dict[str, tuple[str, ...]] = {
         "mimic",
         "armature",
         "self_collision",
+        "contact_friction",
         *_PLACE,
     ),
-    "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", "self_collision", *_PLACE),
+    "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", "self_collision", "allow", *_PLACE),
     "sphere": ("radius", *_BODY),
     "box": ("size", *_BODY),
     "capsule": ("radius", "length", *_BODY),
     "cylinder": ("radius", "length", *_BODY),
+    "ellipsoid": ("radii", *_BODY),
     "mesh": ("path", "density", "scale", "decompose", *_BODY),
     "halfspace": ("normal", "offset", "name", "color"),
     "contact": ("restitution", "friction", "disable", "enable", "body", "pair"),
@@ -64,7 +66,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
     "run": tuple(f.name for f in fields(Options)),
 }
-LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "mesh", "halfspace", "joint", *ELEMENTS)
+LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "ellipsoid", "mesh", "halfspace", "joint", *ELEMENTS)
 NEEDED = {
     "urdf": ("path",),
     "mjcf": ("path",),
@@ -72,6 +74,7 @@ NEEDED = {
     "box": ("name", "size"),
     "capsule": ("name", "radius", "length"),
     "cylinder": ("name", "radius", "length"),
+    "ellipsoid": ("name", "radii"),
     "mesh": ("name", "path"),
     "joint": ("name",),
     "contact.body": ("name",),

@@ -5,14 +5,11 @@
 
 namespace contactvi {
 
-// Throws Error for a shape that is no hull with triangles.
+// Throws Error for a shape that is no hull with triangles. Vertices behind the last corner of a triangle are left out:
+// they are helpers (shape_of).
 Polytope polytope_of(const coal::CollisionGeometry& shape);
 
-// The hull of points (x y z, one after the other), with coal's order of its vertices and triangles. The points have to
-// have a volume: coal ends the process where they are in one plane. Throws what coal throws.
-Polytope hull_of(const double* points, std::size_t count);
-
-// Makes a hull that of a polytope. Throws Error for a shape that is no hull with triangles, and like shape_of.
+// Makes a hull that of a polytope. Throws Error for a shape that is no hull with triangles, and like plain_shape_of.
 void set_polytope(coal::CollisionGeometry& shape, const Polytope& polytope);
 
 }  // namespace contactvi

@@ -12,6 +12,7 @@
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "base/refusal.hpp"
+#include "model/convex_hull.hpp"
 #include "model/hull_access.hpp"
 #include "model/scene.hpp"
 
@@ -20,12 +21,13 @@ namespace contactvi {
 namespace {
 
 using Hull = coal::Convex<coal::Triangle>;
-using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
 // Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less.
 constexpr double kRoundingRadius = 1e-3;
 constexpr double kSliver =
     1e-18;  // [m^2] twice the area below which a triangle has no normal (of the dual hull [1/m^2])
+
+void push(std::vector<double>& points, const Vec3& p) { points.insert(points.end(), p.data(), p.data() + 3); }
 
 // A shrunk polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
 // c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the
@@ -53,26 +55,23 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
     thinnest = std::min(thinnest, d);
   }
   radius = std::min(radius, 0.2 * thinnest);
-  Points dual = std::make_shared<std::vector<coal::Vec3s>>();
-  for (std::size_t i = 0; i < normals.size(); ++i) dual->push_back(normals[i] / (offsets[i] - radius));
-  const std::unique_ptr<coal::ConvexBase> dual_base(
-      coal::ConvexBase::convexHull(dual, static_cast<unsigned>(dual->size()), true, "Qt"));
-  const Hull* dual_hull = dynamic_cast<const Hull*>(dual_base.get());
-  if (dual_hull == nullptr)
-    throw Refusal("A convex hull cannot be rounded", "a hull with a volume", "a flat or very thin one",
-                  "Make the mesh thicker, or replace it by a box");
-  Points vertices = std::make_shared<std::vector<coal::Vec3s>>();
-  for (unsigned i = 0; i < dual_hull->num_polygons; ++i) {
-    const coal::Triangle& face = (*dual_hull->polygons)[i];
-    const coal::Vec3s a = (*dual_hull->points)[face[0]], b = (*dual_hull->points)[face[1]],
-                      c = (*dual_hull->points)[face[2]];
-    const coal::Vec3s n = (b - a).cross(c - a);
+  std::vector<double> dual;
+  for (std::size_t i = 0; i < normals.size(); ++i) push(dual, normals[i] / (offsets[i] - radius));
+  const Polytope dual_hull = hull_of(dual.data(), dual.size() / 3);
+  std::vector<double> vertices;
+  for (Eigen::Index i = 0; i < dual_hull.faces.rows(); ++i) {
+    const Vec3 a = dual_hull.vertices.row(dual_hull.faces(i, 0)), b = dual_hull.vertices.row(dual_hull.faces(i, 1)),
+               c = dual_hull.vertices.row(dual_hull.faces(i, 2));
+    const Vec3 n = (b - a).cross(c - a);
     const double d = n.dot(a);
     if (n.norm() < kSliver || std::abs(d) < 1e-12 * n.norm()) continue;
-    vertices->push_back(center + n / d);
+    push(vertices, center + n / d);
   }
-  return std::shared_ptr<coal::CollisionGeometry>(
-      coal::ConvexBase::convexHull(vertices, static_cast<unsigned>(vertices->size()), true, "Qt"));
+  const Polytope shrunk = hull_of(vertices.data(), vertices.size() / 3);
+  if (shrunk.faces.rows() == 0)
+    throw Refusal("A convex hull cannot be rounded", "a hull with a volume", "a flat or very thin one",
+                  "Make the mesh thicker, or replace it by a box");
+  return shape_of(shrunk);
 }
 
 // A sharp shape, and its rounded copy as it is made.

@@ -91,6 +91,15 @@ def _check_files(file: Path) -> None:
     waiting, seen = [(file, read_xml(file, "mujoco", "an MJCF"))], {file}
     while waiting:
         path, root = waiting.pop()
+        if (composite := next(root.iter("composite"), None)) is not None:
+            raise SceneError(
+                f"{path.name} has a <composite>, which MuJoCo 4 does not read any more",
+                path=path,
+                expected="bodies, or a <flexcomp>",
+                got=f"a composite of type {composite.get('type', 'none')!r}",
+                remedy="Write its bodies out: MuJoCo 3 does so with mj_saveLastXML, and a cable without elasticity is "
+                "then a chain of rigid bodies; what is deformable (a <flexcomp>) is refused, unless with allow=('flex',)",
+            )
         for name in (element.get("file", "") for element in root.iter("include")):
             # MuJoCo looks beside the main file.
             candidates = ((folder / name).resolve() for folder in (path.parent, file.parent))
@@ -115,14 +124,14 @@ class Source:
     Attributes:
         mujoco: the module.
         m: mujoco.MjModel.
-        names: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key": names}.
+        names: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key" | "flex": names}.
     """
 
     def __init__(self, mujoco: Any, m: Any, report: PartReport) -> None:
         self.mujoco, self.m, self.report = mujoco, m, report
         counts = {
             "body": m.nbody, "joint": m.njnt, "geom": m.ngeom, "site": m.nsite, "actuator": m.nactuator,
-            "tendon": m.ntendon, "equality": m.neq, "key": m.nkey,
+            "tendon": m.ntendon, "equality": m.neq, "key": m.nkey, "flex": m.nflex,
         }  # fmt: skip
         self.names = {kind: self._distinct(kind, count) for kind, count in counts.items()}
         self.switched_off = int(m.opt.disableflags)
