@@ -31,7 +31,7 @@ from contactvi.version import __version__
 
 Arrays = list[NDArray[np.generic]]
 
-FORMAT = 3  # raised where entries look different or hulls are computed in another way: no old entry is found then
+FORMAT = 4  # raised where entries look different or hulls are computed in another way: no old entry is found then
 LARGEST = 256_000_000  # bytes of all entries; the largest robots have entries of 5e6
 _SUFFIX = ".hull"
 

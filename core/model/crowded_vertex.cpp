@@ -1,8 +1,10 @@
 #include "model/crowded_vertex.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <string>
 #include <unordered_map>
 
@@ -12,7 +14,7 @@ namespace contactvi {
 
 namespace {
 
-// Faces whose normals differ by less are one plane: what that changes is this part of the size.
+// Points that are nearer to a plane than this part of the size lie in it.
 constexpr double kFlat = 1e-10;
 // Distance of helpers from their vertex in sizes of the polytope: those of a cone of many sides are outside of it by
 // 4e-5 of that at most, and a difference of 1e-16 of the size over this is what the search misses.
@@ -23,8 +25,10 @@ constexpr std::size_t kHelpers = 180, kMostHelpers = 240;
 // Between two chosen faces at least one of these is reached: the angle between their normals, that between the edges.
 constexpr double kTurn = 0.15;
 
-// An edge between the vertex and a neighbour, and the normal of the face anticlockwise behind it, seen from outside.
-struct Spoke {
+using Points = std::vector<Vec3>;
+
+// An edge between the vertex and a neighbour, and the normal of the face behind it.
+struct Edge {
   unsigned end;
   Vec3 along;  // unit vector from the vertex
   Vec3 normal;
@@ -32,57 +36,71 @@ struct Spoke {
 
 Vec3 point(const Polytope& polytope, unsigned i) { return polytope.vertices.row(i); }
 
-// The spokes of a vertex in their order around it; none where the triangles do not close around it.
-std::vector<Spoke> spokes_of(const Polytope& polytope, unsigned vertex, std::size_t count) {
-  std::unordered_map<unsigned, unsigned> next;
+// The neighbours of a vertex in their order around it, one way or the other: the triangles of the rounding may be turned
+// the wrong way. None where the triangles do not close around it.
+std::vector<unsigned> ring_of(const Polytope& polytope, unsigned vertex, std::size_t count) {
+  std::unordered_map<unsigned, std::array<unsigned, 2>> beside;  // of each neighbour, the ones before and behind
+  std::unordered_map<unsigned, int> found;
   unsigned first = 0;
+  const auto join = [&](unsigned i, unsigned j) {
+    const int k = found[i]++;
+    if (k < 2) beside[i][k] = j;
+  };
   for (Eigen::Index f = 0; f < polytope.faces.rows(); ++f)
     for (int k = 0; k < 3; ++k)
       if (static_cast<unsigned>(polytope.faces(f, k)) == vertex) {
         first = static_cast<unsigned>(polytope.faces(f, (k + 1) % 3));
-        next[first] = static_cast<unsigned>(polytope.faces(f, (k + 2) % 3));
+        const auto second = static_cast<unsigned>(polytope.faces(f, (k + 2) % 3));
+        join(first, second);
+        join(second, first);
       }
-  std::vector<Spoke> spokes;
-  const Vec3 at = point(polytope, vertex);
-  unsigned i = first;
-  do {
-    const auto found = next.find(i);
-    if (found == next.end() || spokes.size() == count) return {};
-    const Vec3 a = point(polytope, i) - at, b = point(polytope, found->second) - at;
-    const Vec3 n = a.cross(b);
-    const bool has_normal = n.norm() > 1e-13 * a.norm() * b.norm();
-    spokes.push_back({i, a.normalized(), has_normal ? n.normalized() : Vec3(Vec3::Zero())});
-    i = found->second;
-  } while (i != first);
-  if (spokes.size() != count) return {};
-  // A face without a normal is part of the one before it.
-  for (std::size_t k = 0; k < 2 * count; ++k)
-    if (Spoke& s = spokes[k % count]; s.normal.isZero(0.0)) s.normal = spokes[(k + count - 1) % count].normal;
-  return spokes;
+  for (const auto& [i, triangles] : found)
+    if (triangles != 2) return {};
+  std::vector<unsigned> ring = {first};
+  for (unsigned i = beside[first][0], last = first; i != first && ring.size() <= count;) {
+    ring.push_back(i);
+    const std::array<unsigned, 2>& both = beside[i];
+    const unsigned next = both[0] == last ? both[1] : both[0];
+    last = i;
+    i = next;
+  }
+  return ring.size() == count ? ring : std::vector<unsigned>();
 }
 
-// The spokes that are edges: the others lie between triangles of one plane.
-std::vector<Spoke> edges_among(const std::vector<Spoke>& spokes) {
-  const std::size_t count = spokes.size();
-  const auto before = [&](std::size_t k) { return (k + count - 1) % count; };
-  std::size_t sharpest = 0;
-  double most = 0.0;
-  for (std::size_t k = 0; k < count; ++k)
-    if (const double turn = (spokes[k].normal - spokes[before(k)].normal).norm(); turn > most) {
-      most = turn;
-      sharpest = k;
-    }
-  std::vector<Spoke> edges;
-  if (!(most > kFlat)) return edges;
-  for (std::size_t k = 0; k < count; ++k) {
-    const Spoke& s = spokes[(sharpest + k) % count];
-    if (edges.empty() || (s.normal - edges.back().normal).norm() > kFlat) edges.push_back(s);
+// The edges of a vertex in their order around it. Neighbouring triangles whose corners are as good as in one plane are one
+// face, with the normal of the largest of them: normals of small ones are lost in the rounding.
+std::vector<Edge> edges_of(const Polytope& polytope, unsigned vertex, const std::vector<unsigned>& ring, double size) {
+  const auto count = static_cast<int>(ring.size());
+  const auto at = [&](int k) { return static_cast<std::size_t>((k + count) % count); };
+  const Vec3 origin = point(polytope, vertex);
+  Points spokes, areas;
+  for (unsigned i : ring) spokes.push_back(point(polytope, i) - origin);
+  for (int k = 0; k < count; ++k) areas.push_back(spokes[k].cross(spokes[at(k + 1)]));
+  std::vector<int> order(count), face(count, -1);  // the triangles, largest first, and the face of each
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [&](int i, int j) { return areas[i].norm() > areas[j].norm(); });
+  Points normals;
+  for (const int seed : order) {
+    if (face[seed] >= 0) continue;
+    const auto number = static_cast<int>(normals.size());
+    normals.push_back(areas[seed].normalized());
+    const auto take = [&](int triangle, int corner) {
+      if (face[at(triangle)] >= 0 || !(std::abs(normals.back().dot(spokes[at(corner)])) <= kFlat * size)) return false;
+      face[at(triangle)] = number;
+      return true;
+    };
+    face[seed] = number;
+    for (int k = seed + 1; take(k, k + 1); ++k) continue;
+    for (int k = seed - 1; take(k, k); --k) continue;
   }
+  std::vector<Edge> edges;
+  for (int k = 0; k < count; ++k)
+    if (face[k] != face[at(k - 1)]) edges.push_back({ring[k], spokes[k].normalized(), normals[face[k]]});
   return edges;
 }
 
 // Numbers of the edges behind which there are the chosen faces, ascending from 0.
-std::vector<std::size_t> choose_faces(const std::vector<Spoke>& edges) {
+std::vector<std::size_t> choose_faces(const std::vector<Edge>& edges) {
   const std::size_t count = edges.size(), share = (count + kHelpers - 1) / kHelpers;
   std::vector<std::size_t> chosen;
   for (double turn = kTurn;; turn *= 1.5) {
@@ -109,13 +127,14 @@ std::vector<unsigned> some_of(const std::vector<unsigned>& all) {
 }
 
 CrowdedVertex share_out(const Polytope& polytope, unsigned vertex, const std::vector<unsigned>& all) {
-  const std::vector<Spoke> spokes = spokes_of(polytope, vertex, all.size());
+  const std::vector<unsigned> ring = ring_of(polytope, vertex, all.size());
   // Triangles that do not close around a vertex are slivers of the rounding; it is no corner of its own then.
-  if (spokes.empty()) return {some_of(all), {}, {}};
-  const std::vector<Spoke> edges = edges_among(spokes);
+  if (ring.empty()) return {some_of(all), {}, {}};
+  const double size = (polytope.vertices.colwise().maxCoeff() - polytope.vertices.colwise().minCoeff()).norm();
+  const std::vector<Edge> edges = edges_of(polytope, vertex, ring, size);
   if (edges.size() <= kMostHelpers) {
     std::vector<unsigned> ends;
-    for (const Spoke& edge : edges) ends.push_back(edge.end);
+    for (const Edge& edge : edges) ends.push_back(edge.end);
     if (ends.size() < 3) ends = all;
     std::sort(ends.begin(), ends.end());
     return {some_of(ends), {}, {}};
@@ -124,8 +143,7 @@ CrowdedVertex share_out(const Polytope& polytope, unsigned vertex, const std::ve
   const std::size_t count = edges.size();
   const Vec3 at = point(polytope, vertex);
   double shortest = std::numeric_limits<double>::infinity();
-  for (const Spoke& edge : edges) shortest = std::min(shortest, (point(polytope, edge.end) - at).norm());
-  const double size = (polytope.vertices.colwise().maxCoeff() - polytope.vertices.colwise().minCoeff()).norm();
+  for (const Edge& edge : edges) shortest = std::min(shortest, (point(polytope, edge.end) - at).norm());
   const double distance = std::min(kNear * size, kOfShortest * shortest);
   CrowdedVertex result;
   for (std::size_t a = 0; a < chosen.size(); ++a) {

@@ -10,6 +10,13 @@ namespace contactvi {
 
 using Hull = coal::Convex<coal::Triangle>;
 
+unsigned vertex_count(const Hull& hull) {
+  std::size_t count = 0;
+  for (const coal::Triangle& t : *hull.polygons)
+    for (int k = 0; k < 3; ++k) count = std::max(count, t[k] + 1);
+  return static_cast<unsigned>(count);
+}
+
 Polytope polytope_of(const coal::CollisionGeometry& shape) {
   const auto* hull = dynamic_cast<const Hull*>(&shape);
   if (hull == nullptr || !hull->polygons) throw Error("a convex shape has no triangles");
@@ -17,8 +24,7 @@ Polytope polytope_of(const coal::CollisionGeometry& shape) {
   result.faces.resize(hull->num_polygons, 3);
   for (unsigned i = 0; i < hull->num_polygons; ++i)
     for (int k = 0; k < 3; ++k) result.faces(i, k) = static_cast<int>((*hull->polygons)[i][k]);
-  const unsigned last = hull->num_polygons > 0 ? static_cast<unsigned>(result.faces.maxCoeff()) + 1 : 0;
-  const unsigned count = std::min(hull->num_points, last);
+  const unsigned count = vertex_count(*hull);
   result.vertices.resize(count, 3);
   for (unsigned i = 0; i < count; ++i) result.vertices.row(i) = (*hull->points)[i];
   return result;

@@ -35,8 +35,9 @@ void push(std::vector<double>& points, const Vec3& p) { points.insert(points.end
 std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& radius) {
   const std::vector<coal::Vec3s>& points = *hull.points;
   const std::vector<coal::Triangle>& faces = *hull.polygons;
+  const unsigned count = vertex_count(hull);
   coal::Vec3s center = coal::Vec3s::Zero();
-  for (unsigned i = 0; i < hull.num_points; ++i) center += points[i] / hull.num_points;
+  for (unsigned i = 0; i < count; ++i) center += points[i] / count;
   std::vector<coal::Vec3s> normals;
   std::vector<double> offsets;
   double thinnest = INFINITY;
