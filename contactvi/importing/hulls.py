@@ -148,13 +148,18 @@ def check_shape(geometry: pin.GeometryObject) -> str:
             )
         return ""
     if isinstance(shape, coal.Convex):
-        if not np.all(np.isfinite(shape.points())) or shape.num_points < 4:
+        # An empty one has no array of points, and asking for it ends the process.
+        points = np.array(shape.points()) if shape.num_points >= 4 and shape.num_polygons >= 4 else np.zeros((0, 3))
+        if len(points) < 4 or not np.all(np.isfinite(points)):
             raise SceneError(
                 f"Hull {geometry.name!r}",
                 body=geometry.name,
-                expected="finite vertices",
-                got="none",
-                remedy="Make the hull of at least 4 points that are finite and not in one plane",
+                expected="at least 4 finite vertices, and as many triangles",
+                got="vertices that are not finite"
+                if len(points)
+                else f"{shape.num_points} vertices, {shape.num_polygons} triangles",
+                remedy="Make it of at least 4 points that are not in one plane: "
+                'coal.Convex.convexHull(points, True, "Qt")',
             )
         _finished(shape)
         return f"{shape.num_points} vertices"
@@ -169,7 +174,10 @@ def check_shape(geometry: pin.GeometryObject) -> str:
                 remedy="Correct the sizes of the shape; for a plane take a halfspace, for a point no shape",
             )
         return ""
-    remedies = {"Plane": "A plane has two sides: use coal.Halfspace, a solid with one"}
+    remedies = {
+        "Plane": "A plane has two sides: use coal.Halfspace, a solid with one",
+        "ConvexBase": 'It has no triangles: make it by coal.Convex.convexHull(points, True, "Qt")',
+    }
     for bounding in ("AABB", "OBBRSS"):  # coal has no distance between a height field and a shape
         remedies[f"HeightField{bounding}"] = "Make a convex prism of each triangle, as add_mjcf does with an hfield"
     kind = type(shape).__name__

@@ -153,7 +153,9 @@ def _read(file: MeshFile) -> coal.BVHModelBase:
 def _checked(file: MeshFile, read: Any) -> None:
     try:
         read()
-    except (OSError, ValueError, RuntimeError) as error:  # of coal's reader
+    except (ValueError, RuntimeError) as error:  # of coal's reader
+        raise mesh_error(file.path, error, "") from error
+    except OSError as error:
         raise unreadable(Path(file.path), error) from error
 
 

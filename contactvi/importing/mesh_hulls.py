@@ -17,6 +17,7 @@ import pinocchio as pin
 from contactvi import cache
 from contactvi.importing.hulls import check_shape, crowded_text, faces_by_engine, hull_by_engine, hull_of_points
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
+from contactvi.importing.paths import mesh_error
 from contactvi.importing.report import PartReport, number
 from contactvi.importing.submeshes import volume_of
 
@@ -88,9 +89,12 @@ class MeshHulls:
         self._maker: ThreadPoolExecutor | None = None
 
     def take(self, geometry: pin.GeometryObject, file: MeshFile) -> None:
-        """Give a geometry the hull of a file, where the cache has it, else its mesh. Raises what coal raises.
+        """Give a geometry the hull of a file, where the cache has it, else its mesh.
 
         The hull of the mesh is made in a thread of its own, while the next files are read.
+
+        Raises:
+            SceneError: for a file that is no mesh.
         """
         if file not in self._keys:
             key = self._keys[file] = file.key()
@@ -98,7 +102,7 @@ class MeshHulls:
             if hull is not None:
                 self._hulls[file] = hull
             else:
-                mesh = self._meshes[file] = file.read()
+                mesh = self._meshes[file] = self._read(file, geometry.name)
                 self._made[file] = self._start(mesh, f"{geometry.name} ({Path(file.path).name})")
         self._files[geometry.name] = file
         geometry.geometry = self._hulls[file].shape if file in self._hulls else self._meshes[file]
@@ -124,6 +128,13 @@ class MeshHulls:
         if (key := self._keys[file]) is not None:
             hull.keep(key)
         return hull
+
+    @staticmethod
+    def _read(file: MeshFile, name: str) -> coal.BVHModelBase:
+        try:
+            return file.read()
+        except (ValueError, RuntimeError) as error:
+            raise mesh_error(file.path, error, name) from error
 
     def _start(self, mesh: coal.BVHModelBase, name: str) -> Future[coal.Convex]:
         """Start making a hull."""

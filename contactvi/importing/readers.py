@@ -24,7 +24,7 @@ from contactvi.importing.meshes import collision_geometry, visual_geometry, with
 from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
 from contactvi.importing.mjcf.model import ALLOWED, SOLREF, Choices, MjcfFile, part_of
 from contactvi.importing.part import Part, copy_geometry
-from contactvi.importing.paths import resolve_path
+from contactvi.importing.paths import mesh_error, reason_of, resolve_path
 from contactvi.importing.prepare import finish, neutral, reported
 from contactvi.importing.report import PartReport
 from contactvi.importing.srdf import Srdf, add_group_states, read_srdf
@@ -190,22 +190,15 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
     except ContactviError:
         raise
     except Exception as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        reason = next((line for line in reversed(lines) if not line.startswith("Hint")), type(error).__name__)
+        lines = [line.strip() for line in str(error).splitlines()]
         resource = next((line.rpartition("resource ")[2] for line in lines if "Could not load resource" in line), None)
         if resource is not None:
-            raise SceneError(
-                f"Cannot read the mesh {resource}",
-                path=resource,
-                got=reason,
-                expected="a mesh file in a format that it reads: STL, OBJ, DAE or PLY",
-                remedy="Export it again as STL or OBJ from a viewer of meshes, or replace it by a box or a sphere",
-            ) from error
+            raise mesh_error(resource, error, "") from error
         raise SceneError(
             f"Pinocchio cannot read {file.name}",
             path=file,
             expected="a model it understands",
-            got=reason,
+            got=reason_of(error),
             remedy="Correct what it names in the file; contactvi check prints what was understood until there",
         ) from error
 

@@ -65,15 +65,6 @@ def make_engine_scene(
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)
-    except EngineError:
-        raise
-    except RuntimeError as error:  # of coal
-        raise SceneError(
-            "The engine refuses the scene",
-            got=str(error).strip().splitlines()[-1],
-            expected="joints, shapes and numbers that it can take",
-            remedy="Look at scene.report for what was read of the models; simplify what it names",
-        ) from error
     except MemoryError:
         raise SceneError(
             "The scene does not fit into the memory",

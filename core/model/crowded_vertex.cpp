@@ -5,10 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
-#include <string>
 #include <unordered_map>
-
-#include "base/refusal.hpp"
 
 namespace contactvi {
 
@@ -22,6 +19,9 @@ constexpr double kNear = 1e-6;
 constexpr double kOfShortest = 0.1;  // and at most this part of the shortest edge
 // Helpers of a cone whose sides are alike, and the most of any vertex: the others are for sides of very different sizes.
 constexpr std::size_t kHelpers = 180, kMostHelpers = 240;
+// A helper's own: the vertex and the helpers at both sides come on top.
+constexpr std::size_t kMostOfHelper = kMostNeighbors - 3;
+static_assert(kMostShared <= static_cast<int>(kHelpers * kMostOfHelper));
 // Between two chosen faces at least one of these is reached: the angle between their normals, that between the edges.
 constexpr double kTurn = 0.15;
 
@@ -159,13 +159,9 @@ CrowdedVertex share_out(const Polytope& polytope, unsigned vertex, const std::ve
       if (line.norm() > 0.0) along = line.dot(along) < 0.0 ? -line : line;
     }
     result.helpers.push_back(at + distance * along.normalized());
+    if (ends.size() > kMostOfHelper) ends.resize(kMostOfHelper);  // no more than kMostShared neighbours come here
     result.neighbors.push_back(std::move(ends));
   }
-  const std::size_t most = kMostNeighbors - 3;  // The vertex and the helpers at both sides come on top.
-  for (const std::vector<unsigned>& ends : result.neighbors)
-    if (ends.size() > most || result.helpers.size() > kMostNeighbors)
-      throw Refusal("A vertex of a convex hull has too many neighbours", "at most " + std::to_string(kHelpers * most),
-                    std::to_string(all.size()), "Simplify the mesh, or replace it by a cylinder, a ball or a box");
   return result;
 }
 

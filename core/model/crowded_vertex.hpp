@@ -20,6 +20,7 @@
 namespace contactvi {
 
 constexpr std::size_t kMostNeighbors = 254;  // that coal can count
+constexpr int kMostShared = 40000;           // neighbours that helpers can share
 // Bound on the error of a distance from a vertex with helpers, in sizes of the polytope.
 constexpr double kOutside = 1e-9;
 
@@ -30,8 +31,7 @@ struct CrowdedVertex {
   std::vector<std::vector<unsigned>> neighbors;  // of each helper: vertices of the polytope
 };
 
-// Shares out the neighbours of a vertex of a polytope; all of them are given, ascending. Throws Refusal where they are
-// too many for helpers as well.
+// Shares out the neighbours of a vertex of a polytope; all of them are given, ascending.
 CrowdedVertex share_out(const Polytope& polytope, unsigned vertex, const std::vector<unsigned>& all);
 
 // At most kMostNeighbors of them, evenly chosen.

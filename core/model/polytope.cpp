@@ -151,6 +151,14 @@ std::shared_ptr<coal::CollisionGeometry> plain_shape_of(const Polytope& polytope
   return std::make_shared<SortedPolytope>(polytope, false);
 }
 
+int most_neighbors(const Polytope& polytope) {
+  check_corners(polytope);
+  const Neighbors found(polytope);
+  std::ptrdiff_t most = 0;
+  for (std::size_t i = 0; i < found.size(); ++i) most = std::max(most, found.end(i) - found.begin(i));
+  return static_cast<int>(most);
+}
+
 int count_crowded(const Polytope& polytope) {
   check_corners(polytope);
   const Neighbors found(polytope);

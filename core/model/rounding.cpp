@@ -69,15 +69,13 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
     push(vertices, center + n / d);
   }
   const Polytope shrunk = hull_of(vertices.data(), vertices.size() / 3);
-  if (shrunk.faces.rows() == 0)
-    throw Refusal("A convex hull cannot be rounded", "a hull with a volume", "a flat or very thin one",
-                  "Make the mesh thicker, or replace it by a box");
-  return shape_of(shrunk);
+  return shrunk.faces.rows() > 0 ? shape_of(shrunk) : nullptr;
 }
 
 // A sharp shape, and its rounded copy as it is made.
 struct Rounding {
   const coal::CollisionGeometry* sharp;
+  std::string name;  // of a geometry that has it
   std::optional<ShrunkHull> found;
   std::shared_ptr<coal::CollisionGeometry> core;
   double radius;
@@ -87,7 +85,9 @@ struct Rounding {
   void make() {
     radius = found ? found->radius : kRoundingRadius;
     core = found ? shape_of(found->hull) : shrunk_shape(*sharp, radius);
-    if (!core) throw Error("a collision shape could not be rounded");
+    if (!core)
+      throw Refusal("The hull of geometry '" + name + "' cannot be rounded at its edges", "a hull with a volume",
+                    "a flat or very thin one", "Make the mesh thicker, or replace it by a box");
     static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
     core->computeLocalAABB();
   }
@@ -95,13 +95,15 @@ struct Rounding {
 
 }  // namespace
 
-void round_shapes(const std::vector<Geometry*>& geometries, RoundedHulls* known) {
+void round_shapes(const std::vector<Geometry*>& geometries, const std::vector<std::string>& names,
+                  RoundedHulls* known) {
   std::vector<Rounding> roundings;
   std::vector<std::size_t> number;  // of each geometry's rounding
   std::unordered_map<const coal::CollisionGeometry*, std::size_t> numbers;
-  for (const Geometry* g : geometries) {
-    const auto [at, is_new] = numbers.emplace(g->sharp.get(), roundings.size());
-    if (is_new) roundings.push_back({g->sharp.get(), std::nullopt, nullptr, 0.0});
+  for (std::size_t k = 0; k < geometries.size(); ++k) {
+    const coal::CollisionGeometry* sharp = geometries[k]->sharp.get();
+    const auto [at, is_new] = numbers.emplace(sharp, roundings.size());
+    if (is_new) roundings.push_back({sharp, names[k], std::nullopt, nullptr, 0.0});
     number.push_back(at->second);
   }
   if (known)
