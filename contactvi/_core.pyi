@@ -495,6 +495,11 @@ def crowded_vertices(vertices: Annotated[NDArray[numpy.float64], dict(shape=(Non
     How many vertices of a hull have more edges than coal can count: distances there are right to HULL_ERROR.
     """
 
+def neighbor_lists(vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], list[list[int]]]:
+    """
+    Points of the engine's copy of a hull, its vertices and their helpers, and the neighbours of each, for tests.
+    """
+
 HULL_ERROR: float = 1e-09
 
 def set_hull(hull: int, vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]) -> None:

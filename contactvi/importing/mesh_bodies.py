@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError, SceneError
 from contactvi.importing.hulls import crowded_text, faces_of, hull_of_points
 from contactvi.importing.mesh_hulls import MeshFile, MeshHulls
-from contactvi.importing.paths import resolve_path, unreadable
-from contactvi.importing.report import number
+from contactvi.importing.paths import mesh_error, resolve_path, unreadable
 from contactvi.importing.submeshes import surface_of
 from contactvi.inputs import real, real_numbers, short
 

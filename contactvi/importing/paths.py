@@ -155,7 +155,7 @@ def _similar(missing: Path) -> str:
 
 
 def mesh_error(path: object, error: BaseException, name: str) -> SceneError:
-    """Return the error of a mesh file that its reader, coal's or Pinocchio's, gives up; name: of the geometry, or ""."""
+    """Return the error of a mesh file that its reader, coal's or Pinocchio's, gives up; name: its geometry, or ""."""
     of = f" of geometry {name!r}" if name else ""
     return SceneError(
         f"Cannot read the mesh {path}{of}",

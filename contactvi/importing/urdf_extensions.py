@@ -1,8 +1,8 @@
 """What newer readers of URDF, Drake, Bullet and Gazebo put into a file besides the first version of the format.
 
 Read here: rotations as quaternions (`quat_xyzw`, URDF 1.1), Drake's groups of links that do not collide, and the
-friction of surfaces, if the user asks for it: <drake:mu_dynamic> in the <drake:proximity_properties> of a collision, else
-<lateral_friction> in Bullet's <contact> of a link, else <mu1> and <mu2> of Gazebo. All else is noted as ignored, by tag.
+friction of surfaces, if the user asks for it: <drake:mu_dynamic> in the <drake:proximity_properties> of a collision,
+else <lateral_friction> in Bullet's <contact> of a link, else <mu1> and <mu2> of Gazebo. All else is noted as ignored.
 """
 
 from __future__ import annotations
@@ -61,8 +61,9 @@ def check_joint_tags(root: Element, path: Path) -> None:
         joint=joint.get("name"),
         expected="<joint> of one of the types of URDF",
         got=f"type {joint.get('type')!r} of Drake",
-        remedy="Write a planar one as <joint type='planar'>, a ball joint as three continuous joints one after the other "
-        "or as scene.add_point between two files, a screw as a continuous joint and a prismatic one with a mimic tag",
+        remedy="Write a planar one as <joint type='planar'>, a ball joint as three continuous joints one after the "
+        "other or as scene.add_point between two files, a screw as a continuous joint and a prismatic one with a mimic "
+        "tag",
     )
 
 
@@ -124,15 +125,15 @@ def surface_friction(root: Element, links: dict[str, Element], path: Path) -> di
     for gazebo in root.findall("gazebo"):
         own = [_text(gazebo, tag, path) for tag in ("mu1", "mu2")]
         given = [value for value in own if value is not None]
-        if given and (link := gazebo.get("reference")):
-            of_gazebo[link] = min(given)
+        if given and (reference := gazebo.get("reference")):
+            of_gazebo[reference] = min(given)
     for name, link in links.items():
         bullet = link.find("contact/lateral_friction")
         of_link = of_gazebo.get(name) if bullet is None else _value(bullet, path, f"link {name!r}")
         for k, collision in enumerate(link.findall("collision")):
             properties = collision.find(f"{DRAKE}proximity_properties")
-            own = _of_drake(properties, path, f"link {name!r}") if properties is not None else None
-            if (value := of_link if own is None else own) is not None:
+            of_shape = _of_drake(properties, path, f"link {name!r}") if properties is not None else None
+            if (value := of_link if of_shape is None else of_shape) is not None:
                 found[f"{name}_{k}"] = value
     return found
 

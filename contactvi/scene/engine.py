@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
-from contactvi.errors import EngineError, SceneError
+from contactvi.errors import SceneError
 from contactvi.importing.engine_model import engine_model
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
@@ -44,7 +44,8 @@ def make_engine_scene(
         restitution, friction: Of the tested pairs, shapes (npairs,).
 
     Raises:
-        SceneError: The engine refuses it.
+        EngineError: The engine refuses it.
+        SceneError: There is no memory for it.
     """
     from contactvi import _core
 

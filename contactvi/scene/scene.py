@@ -159,8 +159,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             armature: inertia [kg m^2 or kg] about all joints with one degree of freedom that moves no body, or
                 {name or pattern: inertia}; a joint that moves no mass needs one.
             self_collision: whether its links may touch each other; single pairs: `enable_pair`, `disable_pair`.
-            contact_friction: whether its shapes have the friction that the file gives them for Drake (mu_dynamic), Bullet
-                (lateral_friction) or Gazebo (the smaller one of mu1 and mu2).
+            contact_friction: whether its shapes have the friction that the file gives them for Drake (mu_dynamic),
+                Bullet (lateral_friction) or Gazebo (the smaller one of mu1 and mu2).
 
         Raises:
             SceneError, UnsupportedJointError, InputError
@@ -245,8 +245,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         of the speeds; friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
-        an MJCF says, else the default. Warns (UnusedSettingWarning) of a default that the MJCF of the scene leave to no
-        pair: set_contact(part, restitution=...) replaces theirs.
+        an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
+        of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs.
         """
         if a is None and b is not None:
             a, b = b, None

@@ -161,7 +161,9 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         )
         _add_model(scene, part, entry)
     elif section == "mjcf":
-        options = {key: entry[key] for key in ("prefix", "equality", "actuators", "restitution", "allow") if key in entry}
+        options = {
+            key: entry[key] for key in ("prefix", "equality", "actuators", "restitution", "allow") if key in entry
+        }
         opened = open_mjcf(entry["path"], folder)
         part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)
         _add_model(scene, part, entry)

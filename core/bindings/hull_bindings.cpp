@@ -55,7 +55,8 @@ void expose_hull(nb::module_& m) {
   m.def("hull_vertices", &vertices_of, "points"_a,
         "Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.");
   m.def("hull_of_points", &hull_of_points, "points"_a,
-        "Vertices (n, 3) and triangles (m, 3) of the hull of points, finite, in coal's order; none where there is no hull.");
+        "Vertices (n, 3) and triangles (m, 3) of the hull of points, finite, in coal's order; none where there is no "
+        "hull.");
   m.def(
       "hull_faces", [](std::uintptr_t hull) { return polytope_of(hull_at(hull)).faces; }, "hull"_a,
       "Triangles (m, 3) of a coal.Convex, of which hull is the id().");
@@ -66,6 +67,24 @@ void expose_hull(nb::module_& m) {
       },
       "vertices"_a, "faces"_a,
       "How many vertices of a hull have more edges than coal can count: distances there are right to HULL_ERROR.");
+  m.def(
+      "neighbor_lists",
+      [](const decltype(Polytope::vertices)& vertices, const decltype(Polytope::faces)& faces) {
+        const auto shape = shape_of({vertices, faces});
+        const auto& hull = static_cast<const coal::Convex<coal::Triangle>&>(*shape);
+        nb::typed<nb::list, nb::typed<nb::list, int>> lists;
+        decltype(Polytope::vertices) points(hull.num_points, 3);
+        for (unsigned i = 0; i < hull.num_points; ++i) {
+          points.row(i) = (*hull.points)[i];
+          nb::typed<nb::list, int> list;
+          const auto& own = (*hull.neighbors)[i];
+          for (int k = 0; k < own.count(); ++k) list.append(own[k]);
+          lists.append(list);
+        }
+        return nb::typed<nb::tuple, decltype(Polytope::vertices), decltype(lists)>(nb::make_tuple(points, lists));
+      },
+      "vertices"_a, "faces"_a,
+      "Points of the engine's copy of a hull, its vertices and their helpers, and the neighbours of each, for tests.");
   m.attr("HULL_ERROR") = kOutside;  // in sizes of the hull
   m.def(
       "set_hull",

@@ -36,8 +36,8 @@ class Qhull {
     if (count > static_cast<std::size_t>(std::numeric_limits<int>::max() / 3)) throw Error("too many points");
     std::string words = options;
     qh_zero(&state, nullptr);
-    found_ =
-        qh_new_qhull(&state, 3, static_cast<int>(count), copy_.data(), False, words.data(), nullptr, silent_.get()) == 0;
+    found_ = qh_new_qhull(&state, 3, static_cast<int>(count), copy_.data(), False, words.data(), nullptr,
+                          silent_.get()) == 0;
   }
   ~Qhull() {
     int long_blocks, long_bytes;
@@ -82,12 +82,18 @@ std::vector<int> hull_vertices(const double* points, std::size_t count) {
 }
 
 Polytope hull_of(const double* points, std::size_t count) {
+  Planes planes;
+  return hull_of(points, count, planes);
+}
+
+Polytope hull_of(const double* points, std::size_t count, Planes& planes) {
   const std::unique_ptr<Qhull> hull = find_hull(points, count);
   Polytope result;
   if (!hull->found()) return result;
   qhT* const qh = &hull->state;
   result.vertices.resize(qh->num_vertices, 3);
   result.faces.resize(qh->num_facets, 3);
+  planes.resize(qh->num_facets, 4);
   std::vector<int> number(count, -1);  // of each point among the vertices
   Eigen::Index n = 0, m = 0;
   vertexT *vertex, **vertexp;
@@ -106,9 +112,11 @@ Polytope hull_of(const double* points, std::size_t count) {
     const Vec3 a = result.vertices.row(corners[0]), b = result.vertices.row(corners[1]),
                c = result.vertices.row(corners[2]);
     if (((a + b + c) / 3.0 - center).dot((b - a).cross(c - b)) < 0.0) std::swap(corners[0], corners[1]);
+    planes.row(m) << facet->normal[0], facet->normal[1], facet->normal[2], -facet->offset;
     result.faces.row(m++) << corners[0], corners[1], corners[2];
   }
   result.faces.conservativeResize(m, 3);
+  planes.conservativeResize(m, 4);
   return result;
 }
 

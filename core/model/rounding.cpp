@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <unordered_map>
 
 #include "base/error.hpp"
@@ -24,10 +25,44 @@ using Hull = coal::Convex<coal::Triangle>;
 
 // Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less.
 constexpr double kRoundingRadius = 1e-3;
+// Height over length of a triangle of the dual hull below which the plane of its whole face is taken: of a slender one
+// the digits are lost.
+constexpr double kSlender = 1e-3;
+constexpr double kSame = 1e-10;  // of the size: vertices of a shrunk polytope that are nearer to each other are one
 constexpr double kSliver =
     1e-18;  // [m^2] twice the area below which a triangle has no normal (of the dual hull [1/m^2])
 
 void push(std::vector<double>& points, const Vec3& p) { points.insert(points.end(), p.data(), p.data() + 3); }
+
+double size_of(const Polytope& hull) {
+  return (hull.vertices.colwise().maxCoeff() - hull.vertices.colwise().minCoeff()).norm();
+}
+
+double shortest_edge(const Polytope& hull) {
+  double shortest = std::numeric_limits<double>::infinity();
+  for (Eigen::Index i = 0; i < hull.faces.rows(); ++i)
+    for (int k = 0; k < 3; ++k)
+      shortest = std::min(shortest,
+                          (hull.vertices.row(hull.faces(i, k)) - hull.vertices.row(hull.faces(i, (k + 1) % 3))).norm());
+  return shortest;
+}
+
+// The points without those that are within `near` of another one that stays.
+std::vector<double> apart(const std::vector<double>& points, double near) {
+  std::vector<Vec3> all;
+  for (std::size_t i = 0; i < points.size(); i += 3) all.emplace_back(points[i], points[i + 1], points[i + 2]);
+  std::stable_sort(all.begin(), all.end(), [](const Vec3& a, const Vec3& b) { return a[0] < b[0]; });
+  std::vector<Vec3> kept;
+  for (const Vec3& p : all) {
+    bool is_new = true;
+    for (std::size_t k = kept.size(); is_new && k > 0 && p[0] - kept[k - 1][0] <= near; --k)
+      is_new = (p - kept[k - 1]).norm() > near;
+    if (is_new) kept.push_back(p);
+  }
+  std::vector<double> result;
+  for (const Vec3& p : kept) push(result, p);
+  return result;
+}
 
 // A shrunk polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
 // c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the
@@ -58,17 +93,29 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
   radius = std::min(radius, 0.2 * thinnest);
   std::vector<double> dual;
   for (std::size_t i = 0; i < normals.size(); ++i) push(dual, normals[i] / (offsets[i] - radius));
-  const Polytope dual_hull = hull_of(dual.data(), dual.size() / 3);
+  Planes planes;
+  const Polytope dual_hull = hull_of(dual.data(), dual.size() / 3, planes);
   std::vector<double> vertices;
   for (Eigen::Index i = 0; i < dual_hull.faces.rows(); ++i) {
     const Vec3 a = dual_hull.vertices.row(dual_hull.faces(i, 0)), b = dual_hull.vertices.row(dual_hull.faces(i, 1)),
                c = dual_hull.vertices.row(dual_hull.faces(i, 2));
-    const Vec3 n = (b - a).cross(c - a);
-    const double d = n.dot(a);
+    Vec3 n = (b - a).cross(c - a);
+    double d = n.dot(a);
+    const double longest = std::max({(b - a).norm(), (c - a).norm(), (c - b).norm()});
+    if (n.norm() < kSlender * longest * longest) {
+      n = planes.row(i).head<3>();
+      d = planes(i, 3);
+    }
     if (n.norm() < kSliver || std::abs(d) < 1e-12 * n.norm()) continue;
     push(vertices, center + n / d);
   }
-  const Polytope shrunk = hull_of(vertices.data(), vertices.size() / 3);
+  Polytope shrunk = hull_of(vertices.data(), vertices.size() / 3);
+  // Coal's search for the farthest vertex stops at one of several that are nearer to each other than it can tell apart.
+  const double near = shrunk.faces.rows() > 0 ? kSame * size_of(shrunk) : 0.0;
+  if (shortest_edge(shrunk) < near) {
+    vertices = apart(vertices, near);
+    shrunk = hull_of(vertices.data(), vertices.size() / 3);
+  }
   return shrunk.faces.rows() > 0 ? shape_of(shrunk) : nullptr;
 }
 

@@ -33,7 +33,6 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeome
 
 // Makes the rounded shapes of these geometries, in several threads, one for those that share their sharp shape. `known`
 // may be null. Throws Refusal, which names the geometry, for a hull that cannot be rounded.
-void round_shapes(const std::vector<Geometry*>& geometries, const std::vector<std::string>& names,
-                  RoundedHulls* known);
+void round_shapes(const std::vector<Geometry*>& geometries, const std::vector<std::string>& names, RoundedHulls* known);
 
 }  // namespace contactvi

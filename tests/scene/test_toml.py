@@ -53,6 +53,11 @@ radius = 0.1
 length = 0.2
 xyz = [-1, 0, 1]
 
+[[ellipsoid]]
+name = "egg"
+radii = [0.1, 0.2, 0.3]
+xyz = [-2, 0, 1]
+
 [[halfspace]]
 normal = [0, 0, 2]
 offset = -0.5

@@ -97,8 +97,8 @@ def _check_files(file: Path) -> None:
                 path=path,
                 expected="bodies, or a <flexcomp>",
                 got=f"a composite of type {composite.get('type', 'none')!r}",
-                remedy="Write its bodies out: MuJoCo 3 does so with mj_saveLastXML, and a cable without elasticity is "
-                "then a chain of rigid bodies; what is deformable (a <flexcomp>) is refused, unless with allow=('flex',)",
+                remedy="Write its bodies out: MuJoCo 3 does so with mj_saveLastXML, and a cable is then a chain of "
+                "rigid bodies; what is deformable (a <flexcomp>) is refused, unless with allow=('flex',)",
             )
         for name in (element.get("file", "") for element in root.iter("include")):
             # MuJoCo looks beside the main file.

@@ -125,8 +125,8 @@ def _check_deformables(opened: MjcfFile, allow: tuple[str, ...]) -> None:
         path=opened.path,
         expected="rigid bodies (no flex, no flexcomp)",
         got=f"{len(names)} flex: {shown}, with {bodies} bodies at its vertices",
-        remedy="Take them out of the file, or put rigid bodies in their place; allow=('flex',) (in a scene file allow = "
-        "[\"flex\"], on the command line --allow flex) runs their vertices as loose bodies without elasticity and "
+        remedy="Take them out of the file, or put rigid bodies in their place; allow=('flex',) (in a scene file allow "
+        '= ["flex"], on the command line --allow flex) runs their vertices as loose bodies without elasticity and '
         "contact surface",
     )
 
