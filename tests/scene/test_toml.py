@@ -115,7 +115,7 @@ def write(folder: Path, text: str) -> Path:
 def test_every_entry_arrives(tmp_path: Path):
     scene = load_scene(write(tmp_path, PAGE))
     assert scene.model.gravity.linear == pytest.approx([0, 0, -3.7])
-    assert (scene.nq, scene.nv) == (16 + 3 * 7, 16 + 3 * 6)
+    assert (scene.nq, scene.nv) == (16 + 4 * 7, 16 + 4 * 6)
     e = dict(zip(scene.pair_names, scene.pair_restitution, strict=True))
     assert (e["ball", "ground"], e["can", "ground"], e["crate", "ground"]) == (1.0, 0.3, 0.7)
     assert ("ball", "crate") not in e
