@@ -27,7 +27,7 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
     """
     try:
         root = parsed(path.read_bytes())
-    except (expat.ExpatError, ElementTree.ParseError) as error:
+    except (expat.error, ElementTree.ParseError) as error:
         raise SceneError(
             f"Broken XML in {path.name}",
             path=path,
@@ -67,7 +67,7 @@ def parsed(text: bytes | str) -> Element:
     The readers of these formats know no namespaces, so files with prefixes that nothing declares are about.
 
     Raises:
-        xml.parsers.expat.ExpatError: broken XML. ValueError, LookupError: an encoding that is not known.
+        xml.parsers.expat.error: broken XML. ValueError, LookupError: an encoding that is not known.
     """
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
     parser.buffer_text = True

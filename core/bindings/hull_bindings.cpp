@@ -12,6 +12,7 @@
 #include "model/convex_hull.hpp"
 #include "model/crowded_vertex.hpp"
 #include "model/hull_access.hpp"
+#include "model/polytope_shape.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -18,8 +18,8 @@ namespace contactvi {
 
 namespace {
 
-// Triangles, as coal asks for them. The second: where merging facets within rounding makes one of them wide, which is an
-// error otherwise.
+// Triangles, as coal asks for them. The second: where merging facets within rounding makes one of them wide, which is
+// an error otherwise.
 constexpr std::array<const char*, 2> kOptions = {"qhull Qt", "qhull Qt Q12"};
 
 struct Close {

@@ -17,8 +17,8 @@ std::vector<int> hull_vertices(const double* points, std::size_t count);
 // where qhull finds none.
 Polytope hull_of(const double* points, std::size_t count);
 
-// The same, and the plane normal . x = offset of each triangle (normal, offset), that of the whole face of which it is a
-// part: the plane of a slender triangle itself is lost in the rounding.
+// The same, and the plane normal . x = offset of each triangle (normal, offset), that of the whole face of which it is
+// a part: the plane of a slender triangle itself is lost in the rounding.
 using Planes = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::RowMajor>;
 Polytope hull_of(const double* points, std::size_t count, Planes& planes);
 

@@ -17,7 +17,8 @@ constexpr double kFlat = 1e-10;
 // 4e-5 of that at most, and a difference of 1e-16 of the size over this is what the search misses.
 constexpr double kNear = 1e-6;
 constexpr double kOfShortest = 0.1;  // and at most this part of the shortest edge
-// Helpers of a cone whose sides are alike, and the most of any vertex: the others are for sides of very different sizes.
+// Helpers of a cone whose sides are alike, and the most of any vertex: the others are for sides of very different
+// sizes.
 constexpr std::size_t kHelpers = 180, kMostHelpers = 240;
 // A helper's own: the vertex and the helpers at both sides come on top.
 constexpr std::size_t kMostOfHelper = kMostNeighbors - 3;
@@ -36,8 +37,8 @@ struct Edge {
 
 Vec3 point(const Polytope& polytope, unsigned i) { return polytope.vertices.row(i); }
 
-// The neighbours of a vertex in their order around it, one way or the other: the triangles of the rounding may be turned
-// the wrong way. None where the triangles do not close around it.
+// The neighbours of a vertex in their order around it, one way or the other: the triangles of the rounding may be
+// turned the wrong way. None where the triangles do not close around it.
 std::vector<unsigned> ring_of(const Polytope& polytope, unsigned vertex, std::size_t count) {
   std::unordered_map<unsigned, std::array<unsigned, 2>> beside;  // of each neighbour, the ones before and behind
   std::unordered_map<unsigned, int> found;
@@ -67,8 +68,8 @@ std::vector<unsigned> ring_of(const Polytope& polytope, unsigned vertex, std::si
   return ring.size() == count ? ring : std::vector<unsigned>();
 }
 
-// The edges of a vertex in their order around it. Neighbouring triangles whose corners are as good as in one plane are one
-// face, with the normal of the largest of them: normals of small ones are lost in the rounding.
+// The edges of a vertex in their order around it. Neighbouring triangles whose corners are as good as in one plane are
+// one face, with the normal of the largest of them: normals of small ones are lost in the rounding.
 std::vector<Edge> edges_of(const Polytope& polytope, unsigned vertex, const std::vector<unsigned>& ring, double size) {
   const auto count = static_cast<int>(ring.size());
   const auto at = [&](int k) { return static_cast<std::size_t>((k + count) % count); };

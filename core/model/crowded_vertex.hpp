@@ -5,8 +5,8 @@
 // those at the other ends of its edges; sides of triangles between two of the same plane are not needed for it. Where
 // the edges themselves are too many, the vertex gets helpers in their place, points next to it, each of which has a
 // share of its neighbours. Planes of some of the faces around the vertex are chosen; a helper lies on the line in which
-// one of them meets the next, so that what lies between the two in the polytope lies inside of the helpers. They are the
-// neighbours of the vertex in the hull of all.
+// one of them meets the next, so that what lies between the two in the polytope lies inside of the helpers. They are
+// the neighbours of the vertex in the hull of all.
 //
 // A helper is at most kOutside of the polytope's size outside of it. What the search misses for rounding is of the same
 // size: differences of 1e-16 over the distance of the helpers.

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "base/error.hpp"
+#include "model/polytope_shape.hpp"
 
 namespace contactvi {
 

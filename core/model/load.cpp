@@ -8,6 +8,7 @@
 #include "base/refusal.hpp"
 #include "model/crowded_vertex.hpp"
 #include "model/hull_access.hpp"
+#include "model/polytope_shape.hpp"
 #include "model/public_model.hpp"
 #include "model/rounding.hpp"
 #include "model/scene.hpp"

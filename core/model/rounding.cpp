@@ -15,6 +15,7 @@
 #include "base/refusal.hpp"
 #include "model/convex_hull.hpp"
 #include "model/hull_access.hpp"
+#include "model/polytope_shape.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {

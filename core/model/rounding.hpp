@@ -8,6 +8,10 @@
 
 #include "model/polytope.hpp"
 
+namespace coal {
+class CollisionGeometry;
+}
+
 namespace contactvi {
 
 struct Geometry;

@@ -1,4 +1,4 @@
-#include "model/polytope.hpp"
+#include "model/polytope_shape.hpp"
 
 #include <coal/shape/convex.h>
 
