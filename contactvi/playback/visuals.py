@@ -193,6 +193,15 @@ def from_geometry(shape: pin.GeometryObject) -> Visual | None:
     elif kind.startswith("BVHModel"):
         name, sizes = "mesh", ()
         points, corners = surface_of(solid, str(shape.meshPath), np.array(shape.meshScale))
+        if not np.all(np.isfinite(points)):
+            raise SceneError(
+                f"Picture of geometry {shape.name!r}",
+                path=shape.meshPath or None,
+                body=shape.name,
+                expected="vertices that are finite",
+                got=f"nan or inf in {shape.meshPath or 'its mesh'}",
+                remedy="Repair the mesh, or take its <visual> out of the file",
+            )
         vertices, faces = points.astype(np.float32), corners.astype(np.uint32)
     elif kind == "Convex":
         name, sizes = "mesh", ()

@@ -52,6 +52,21 @@ def test_meshes_that_cannot_be_read(name: str, tmp_path: Path):
     check(caught.value, name, "base_0")
 
 
+def test_a_picture_whose_vertices_are_not_finite(tmp_path: Path):
+    (tmp_path / "nan.obj").write_bytes(BROKEN["nan.obj"])
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(
+        '<robot name="r"><link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"'
+        ' iyz="0"/></inertial><visual><geometry><mesh filename="nan.obj"/></geometry></visual></link></robot>'
+    )
+    scene = cvi.Scene()
+    scene.add_urdf(urdf, base="free")
+    traj = cvi.simulate(scene, duration=0.01, dt=1e-3)
+    with pytest.raises(cvi.ContactviError) as caught:
+        traj.to_html(tmp_path / "run.html")
+    check(caught.value, "nan.obj", "base_0")
+
+
 def triangles(rows: list[tuple[int, int, int]]) -> coal.StdVec_Triangle:
     result = coal.StdVec_Triangle()
     for row in rows:
