@@ -25,9 +25,11 @@ from .errors import InputError as InputError
 from .errors import NotDifferentiable as NotDifferentiable
 from .errors import PenetrationError as PenetrationError
 from .errors import SceneError as SceneError
+from .errors import SeparationError as SeparationError
 from .errors import SimulationError as SimulationError
 from .errors import TornMeshWarning as TornMeshWarning
 from .errors import UnsupportedJointError as UnsupportedJointError
+from .errors import UntestedPairWarning as UntestedPairWarning
 from .errors import UnusedSettingWarning as UnusedSettingWarning
 from .errors import UserFunctionError as UserFunctionError
 from .options import Options as Options
@@ -42,6 +44,8 @@ from .records.table import Table as Table
 from .scene.contact_frames import ContactJacobian as ContactJacobian
 from .scene.derivative_check import check_derivatives as check_derivatives
 from .scene.scene import Scene as Scene
+from .scene.separation import BodyMove as BodyMove
+from .scene.separation import Separation as Separation
 from .scene.toml import load_scene as load_scene
 from .simulation.sensors import ContactSensor as ContactSensor
 from .simulation.sensors import Imu as Imu

@@ -119,6 +119,8 @@ class ContactChange(enum.IntEnum):
 
     INCONSISTENT = 5
 
+    OVERLAP = 6
+
 class PointKind(enum.IntEnum):
     """The geometry that a contact point comes from."""
 
@@ -131,6 +133,10 @@ class PointKind(enum.IntEnum):
     LIMIT = 3
 
     EDGE = 4
+
+    END = 5
+
+    RIM_LINE = 6
 
 class ConstraintKind(enum.Enum):
     """What a constraint holds; core/model/constraints.hpp has the residuals."""

@@ -1,4 +1,6 @@
-"""What earlier processes have computed, kept on disk: hulls of meshes, which take most of the time of loading a robot.
+"""What earlier processes have computed, kept on disk: what takes most of the time of loading a robot and of drawing it.
+
+These are hulls of meshes, meshes as they are drawn, and what MuJoCo's compiler makes of a model.
 
 An entry is a file with a few arrays, named by a digest of all that they were computed from; so it is never out of date,
 and any number of processes may read and write entries at the same time. Entries that cannot be read, among them those
@@ -31,8 +33,8 @@ from contactvi.version import __version__
 
 Arrays = list[NDArray[np.generic]]
 
-FORMAT = 4  # raised where entries look different or hulls are computed in another way: no old entry is found then
-LARGEST = 256_000_000  # bytes of all entries; the largest robots have entries of 5e6
+FORMAT = 5  # raised where entries look different or hulls are computed in another way: no old entry is found then
+LARGEST = 512_000_000  # bytes of all entries; the largest robots have entries of 5e6, with their meshes of 3e7
 _SUFFIX = ".hull"
 
 
@@ -54,8 +56,9 @@ def key(what: str, *parts: bytes | float | str) -> str:
     """
     digest = hashlib.sha256(_programs())
     for part in (what, *parts):
-        data = b"b" + part if isinstance(part, bytes) else b"r" + repr(part).encode()
-        digest.update(len(data).to_bytes(8, "little") + data)
+        kind, data = (b"b", part) if isinstance(part, bytes) else (b"r", repr(part).encode())
+        digest.update((1 + len(data)).to_bytes(8, "little") + kind)
+        digest.update(data)
     return digest.hexdigest()
 
 

@@ -142,6 +142,26 @@ class PenetrationError(ContactviError):
         super().__init__(what, **texts)
 
 
+class SeparationError(PenetrationError):
+    """Overlaps of a start that cannot be ended, or only by moving bodies too far.
+
+    `pair`, `depth`: of the deepest one. `moves`: how far the bodies would be moved (`Separation.moves`), empty where no
+    way out was found.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        pair: tuple[str, str] | None = None,
+        depth: float | None = None,
+        moves: tuple[Any, ...] = (),
+        **texts: Unpack[_Texts],
+    ) -> None:
+        self.moves = moves
+        super().__init__(what, pair=pair, depth=depth, **texts)
+
+
 class ConstraintError(ContactviError):
     """Constraints that are not met, or cannot be.
 
@@ -269,7 +289,12 @@ class NotDifferentiable(ContactviError):
 
 
 class AccuracyWarning(UserWarning):
-    """A run with dt="auto" did not reach the accuracy asked of it; `Trajectory.error_estimate` is what it reached."""
+    """A run is less accurate than was asked or is promised.
+
+    With dt="auto" it did not reach `tol`, and `Trajectory.error_estimate` is what it reached; or bodies overlap, or the
+    energy rose, by more than what is documented as the error of a step (`Trajectory.contact_changes` with "overlap",
+    `Trajectory.dense_steps`).
+    """
 
 
 class DenseStepWarning(UserWarning):
@@ -281,7 +306,18 @@ class ApproximateDerivativeWarning(UserWarning):
 
 
 class UnusedSettingWarning(UserWarning):
-    """What was set has no effect: a default of contacts that none of the shapes uses, because files give their own."""
+    """What was set has no effect.
+
+    A default of contacts that none of the shapes uses, because files give their own, or a value of a pair that is not
+    tested for contact.
+    """
+
+
+class UntestedPairWarning(UserWarning):
+    """A run does not test a pair of shapes, of which the user has added one: they overlap in the start and in neutral.
+
+    There the model's own pose makes them overlap, and they pass through each other.
+    """
 
 
 class TornMeshWarning(UserWarning):

@@ -27,11 +27,13 @@ MhcReference = Literal["local", "global"]
 Zeno = Literal["hold", "end"]
 Support = Literal["sequence", "stiff"]
 ContactSteps = Literal["auto", "events", "steps"]
+Start = Literal["given", "separate"]
 Kept = Literal["states", "gradient"] | int
 IMPACT_MAPS: tuple[ImpactMap, ...] = get_args(ImpactMap)
 MHC_REFERENCES: tuple[MhcReference, ...] = get_args(MhcReference)
 ZENO: tuple[Zeno, ...] = get_args(Zeno)
 SUPPORTS: tuple[Support, ...] = get_args(Support)
+STARTS: tuple[Start, ...] = get_args(Start)
 CONTACT_MODES: tuple[ContactSteps, ...] = get_args(ContactSteps)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
@@ -56,6 +58,7 @@ class FurtherOptions(TypedDict, total=False):
     record_contacts: bool | None
     contact_mode: ContactSteps | None
     record: Kept | None
+    start: Start | None
 
 
 class SteppingOptions(FurtherOptions, total=False):
@@ -123,6 +126,9 @@ class Options:
             polynomials of the steps and the inputs. Steps of one length only; what has no derivative is refused before
             the run where it is known then. Of a Simulator also False: nothing but the present state and its last step,
             and a number n >= 1: the last n steps; not with a ledger and "dtec".
+        start: of a start with overlaps: "given" refuses it, "separate" moves it apart as Scene.separate does, with the
+            limits that this has by default; Trajectory.separation tells what was moved. Derivatives by q0 are those by
+            the start that was found.
 
     Raises:
         InputError: for a value that is not of the type or in the range given above.
@@ -147,6 +153,7 @@ class Options:
     record_contacts: bool = True
     contact_mode: ContactSteps = "auto"
     record: Kept = "states"
+    start: Start = "given"
 
     def __post_init__(self) -> None:
         if not self.auto:
@@ -171,6 +178,7 @@ class Options:
         check_choice("zeno", self.zeno, ZENO, "Unknown answer to accumulating impacts")
         check_choice("support", self.support, SUPPORTS, "Unknown reading of a support")
         check_choice("contact_mode", self.contact_mode, CONTACT_MODES, "Unknown kind of steps in contact")
+        check_choice("start", self.start, STARTS, "Unknown answer to a start with overlaps")
         _set(self, "record", kept_record(self.record, self.ledger is not None, self.impact == "dtec"))
         _set(self, "order", integrator_order(self.order, self.auto))
         _set(self, "ledger", tolerances(self.ledger))

@@ -76,8 +76,10 @@ def run(plan: Plan, scenes: SceneCache, workers: int, report: Report | None) -> 
             copied = changed is not None and bool(changed.usable[k])
             compiled = changed.compiled if changed is not None and copied else only or scenes.of(plan, k)
             only = None if plan.parameters else compiled
+            copied = copied and inputs.with_pairs(k, compiled) is compiled  # copies are made of one scene
+            compiled = inputs.with_pairs(k, compiled if copied or changed is None else scenes.of(plan, k))
             row = changed.rows[k] if changed is not None and copied else None
-            found = inputs.start(k, compiled, partial(scenes.of, plan, k))
+            found = inputs.start(k, compiled, partial(_scene_of, inputs, scenes, plan, k))
         except ContactviError as error:
             errors[k] = error
             continue
@@ -124,6 +126,7 @@ class _Inputs:
             q = states.configuration(compiled.q0 if q0 is None else q0)
         else:
             q = self._q0s[k]
+        q, _ = engine.moved_apart(compiled, plan.options, q, 0.0)
         if self._v0s is None:
             v0 = plan.input("v0", k)
             given = compiled.v0 if v0 is None else v0
@@ -138,6 +141,10 @@ class _Inputs:
         forces = self._control(k, compiled)
         targets = self._targets(k, Targets(compiled, q), 0.0)
         return Started(scene, q, v, forces, targets)
+
+    def with_pairs(self, k: int, compiled: CompiledScene) -> CompiledScene:
+        """Return the scene with the pairs that run k tests from its start; raise ContactviError for a bad one."""
+        return compiled.at_start(self._plan.input("q0", k))
 
     def matrix(self, name: str, values: Array | None) -> _core.BatchInputs | None:
         """Return inputs for the engine, the same ones where all runs share them."""
@@ -171,6 +178,11 @@ class _Inputs:
         return rows
 
 
+def _scene_of(inputs: _Inputs, scenes: SceneCache, plan: Plan, k: int) -> CompiledScene:
+    """Return the scene of run k with its parameters and its pairs."""
+    return inputs.with_pairs(k, scenes.of(plan, k))
+
+
 class _InputsFrom(_Inputs):
     """The inputs of runs that go on from the present state of a simulator."""
 
@@ -178,6 +190,10 @@ class _InputsFrom(_Inputs):
         super().__init__(plan)
         self.snapshot = simulator.save()
         self._q, self._v, self._t = simulator.q, simulator.v, simulator.t
+
+    def with_pairs(self, k: int, compiled: CompiledScene) -> CompiledScene:
+        """Return the scene as it is: the pairs are those of the simulator."""
+        return compiled
 
     def start(self, k: int, compiled: CompiledScene, scene: Callable[[], CompiledScene]) -> Started:
         """Return the start of run k; raise ContactviError where its inputs cannot be used."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -22,12 +23,14 @@ import pinocchio as pin
 from rich.markup import escape
 
 from contactvi.commands.console import out
-from contactvi.errors import InputError, UnusedSettingWarning
+from contactvi.errors import InputError, SeparationError, UnusedSettingWarning
 from contactvi.files import write_atomic
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.importing.paths import resolve_path
 from contactvi.importing.xml import read_xml
 from contactvi.inputs import real
 from contactvi.scene.scene import GRAVITY, Scene
+from contactvi.scene.separation import LIMIT
 from contactvi.scene.toml import load_scene
 from contactvi.tables import name_table, print_table
 
@@ -169,7 +172,7 @@ def model_scene(path: str, choice: Choice) -> ModelScene:
         _lift(found, height, surroundings)
     else:
         found.assumed.append(("ground", "none is added: the model is held" + _unused(height)))
-    _take_out_overlaps(found)
+    _end_overlaps(found)
     servos = scene.servo_joints
     held = f"servos of the file hold {len(servos)} at the start, the others are limp" if servos else "limp"
     found.assumed.append(("joints", held))
@@ -304,6 +307,9 @@ def _lift(found: ModelScene, height: float | None, surroundings: bool) -> None:
     if height is None and surroundings and least >= 0.0:
         found.assumed.append(("ground", f"{where}, {least:.3g} m below"))
         return
+    if height is None and surroundings and -least <= LIMIT:
+        found.assumed.append(("ground", f"{where}, {-least:.3g} m in it"))  # `_end_overlaps` moves it out
+        return
     height = HEIGHT if height is None else height
     values = {}
     assert scene.q0 is not None
@@ -318,15 +324,62 @@ def _lift(found: ModelScene, height: float | None, surroundings: bool) -> None:
     found.assumed.append(("ground", f"{where}, {height:g} m below the lowest shape"))
 
 
-def _take_out_overlaps(found: ModelScene) -> None:
-    """Leave out the pairs of the model itself that overlap at its start."""
+def _end_overlaps(found: ModelScene) -> None:
+    """Move the start apart; where that is not possible within the limits, leave out pairs of the model itself."""
+    error = _move_apart(found)
+    if error is not None and _take_out_overlaps(found):
+        error = _move_apart(found)
+    if error is not None:
+        found.assumed.append(("overlaps", f"left, so that the start is refused: {error.what}, {error.got}"))
+
+
+def _move_apart(found: ModelScene) -> SeparationError | None:
+    """Move the start apart by the least; return the error where that is not possible."""
+    scene = found.scene
+    assert scene.q0 is not None
+    try:
+        moved = scene.separate(scene.q0)
+    except SeparationError as error:
+        return error
+    if not moved.overlaps:
+        return None
+    values = {}
+    for joint, name in zip(list(scene.model.joints)[1:], list(scene.model.names)[1:], strict=True):
+        own = slice(joint.idx_q, joint.idx_q + joint.nq)
+        if not np.array_equal(moved.q[own], scene.q0[own]):
+            values[str(name)] = value_in_file(joint, moved.q[own])
+    scene.q0 = scene.configuration(values, scene.q0)
+    initial = next((keys for header, keys in found.tables if header == "[initial.q]"), None)
+    if initial is None:
+        found.tables.append(("[initial.q]", values))
+    else:
+        initial.update(values)
+    (a, b), depth = next(iter(moved.overlaps.items()))
+    more = f" and {len(moved.overlaps) - 1} more" if len(moved.overlaps) > 1 else ""
+    text = f"{a} | {b} overlapped by {depth:.3g} m{more}; the start was moved: {moved.text()}"
+    found.assumed.append(("overlaps", text))
+    return None
+
+
+def value_in_file(joint: pin.JointModel, q: Sequence[float] | np.ndarray) -> Any:
+    """Return the numbers of a joint, q (nq,), as scene files have them."""
+    if joint.nv == 1:
+        return float(q[0]) if joint.nq == 1 else math.atan2(q[1], q[0])
+    if joint_kind(joint) == "planar":
+        return [float(q[0]), float(q[1]), math.atan2(q[3], q[2])]
+    return [float(value) for value in q]
+
+
+def _take_out_overlaps(found: ModelScene) -> bool:
+    """Leave out the pairs of the model itself that overlap at its start; return whether there are some."""
     pairs = found.scene.disable_overlapping(found.scene.q0)
     if not pairs:
-        return
+        return False
     contact = next(keys for header, keys in found.tables if header == "[contact]")
     contact["disable"] = [list(pair) for pair in pairs]
     listed = ", ".join(f"{a} | {b}" for a, b in pairs[:3]) + (f" and {len(pairs) - 3} more" if len(pairs) > 3 else "")
     found.assumed.append(("overlaps", f"pairs of the model that overlap at the start, left out: {listed}"))
+    return True
 
 
 def _value(key: str, value: Any, folder: Path) -> str:

@@ -50,9 +50,9 @@ class Interval:
         check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
         step = positive("dt", dt, "the step in seconds, > 0, for example 1e-2")
         self._steps, self._t = count("steps", steps), real("t", t)
-        chosen = {**options, "dt": step, "duration": step * self._steps, "record": "gradient"}
+        chosen = {**options, "dt": step, "duration": step * self._steps, "record": "gradient", "start": "given"}
         self._options = settings_of(scene, chosen, forced=True)
-        self._compiled = compiled = compile_scene(scene)
+        self._compiled = compiled = compile_scene(scene).at_start(None)  # one set of pairs, whatever is asked for
         check_map(compiled, self._options)
         check_elements(compiled, self._options)
         compiled.check_differentiable()

@@ -172,8 +172,9 @@ class Rollouts:
 
     @cached_property
     def _compiled(self) -> list[CompiledScene]:
-        """The scene of every run; one for all where they have the same parameters."""
-        return [self._scenes.of(self._plan, k) for k in range(self.batch.runs)]
+        """The scene of every run; one for all where they have the same parameters, and test the same pairs."""
+        plan, scenes = self._plan, self._scenes
+        return [scenes.of(plan, k).at_start(plan.input("q0", k)) for k in range(self.batch.runs)]
 
     def _planned(self, scene: Scene) -> Plan:
         """Return the runs as a batch of them takes them."""

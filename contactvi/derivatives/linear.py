@@ -126,7 +126,7 @@ def step_derivatives(
     """
     inputs.check_choice("state", state, STATES, "Unknown kind of state")
     t, dt = inputs.real("t", t), inputs.positive("dt", dt, "the step in seconds, > 0, for example 1e-3")
-    compiled = compile_scene(scene)
+    compiled = compile_scene(scene).at_start(q)
     options = _step_options(compiled, scene, dt, order)
     compiled.check_differentiable()
     force = np.zeros(compiled.states.nv) if tau is None else compiled.states.force(tau)
@@ -142,7 +142,7 @@ def _step_options(compiled: CompiledScene, scene: Scene, dt: float, order: int) 
     """Return the options of one step; those of the last step are kept with the scene."""
     key = (type(dt), dt, type(order), order) if isinstance(dt, float) and isinstance(order, int) else None
     if key is None or compiled.step_options is None or compiled.step_options[0] != key:
-        chosen = {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None}
+        chosen = {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None, "start": "given"}
         chosen["dense"] = compiled.built.constrained  # to see in how many parts the step is made
         compiled.step_options = (key, settings_of(scene, chosen))
     return compiled.step_options[1]
@@ -260,7 +260,7 @@ def forward_dynamics_derivatives(
         InputError: for a bad state. DerivativeError: a function of the user has no derivatives.
         NotDifferentiable: a contact or limit touches, or there are screws or joint friction.
     """
-    compiled, time = compile_scene(scene), inputs.real("t", t)
+    compiled, time = compile_scene(scene).at_start(q), inputs.real("t", t)
     _check_frictionless(compiled)
     states, core = compiled.states, compiled.core
     at = states.configuration(q, "q")

@@ -53,7 +53,7 @@ class PerturbedRuns:
 
     def __init__(self, scene: Scene, traj: Trajectory, exact: Sensitivity) -> None:
         self._scene, self._exact = scene, exact
-        self._compiled = compile_scene(scene)
+        self._compiled = compile_scene(scene).at_start(traj.q[0])
         # With polynomials all trees are advanced together, as in the run: an event of one cuts the steps of the others.
         self._settings = replace(
             traj.options, record="states", dense=True, sample_dt=None, tol=min(SOLVED, traj.options.stage_tol)
@@ -165,7 +165,7 @@ class PerturbedRuns:
                 twin.set_contact(*names, restitution=value + by)
             else:
                 twin.set_contact(*names, friction=value + by)
-        return compile_scene(twin)
+        return compile_scene(twin).at_start(self._q)
 
     def _run(self, compiled: CompiledScene, q: Array, v: Array, control: Array | None) -> RunEnd | None:
         try:

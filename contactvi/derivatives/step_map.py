@@ -44,7 +44,7 @@ class StepMap:
     def __init__(self, scene: Scene, dt: float, order: int, state: str, options: dict[str, Any]) -> None:
         inputs.check_choice("state", state, STATES, "Unknown kind of state")
         self.scene, self.order, self.momentum = scene, order, state == "momentum"
-        chosen: dict[str, Any] = {**options, "order": order, "record": "gradient"}
+        chosen: dict[str, Any] = {**options, "order": order, "record": "gradient", "start": "given"}
         self.simulator = Simulator(scene, dt, **chosen)
         self.dt = self.simulator.options.fixed_dt
         self.compiled = compile_scene(scene)
@@ -143,7 +143,7 @@ class Step:
 
     def _products(self, z: Array, acts: Array) -> tuple[Array, Array]:
         """Return the second derivative in (q, v, u), and the first one in v (nv,), of z^T (q1, x1)."""
-        nv, traj, compiled = self._steps.nv, self.trajectory, self._steps.compiled
+        nv, traj, compiled = self._steps.nv, self.trajectory, self._steps.compiled.at_start(self.q)
         check_exact(compiled, ("q0", "v0", "control"))
         run, times = recorded_run(traj, compiled), [float(t) for t in traj.t]
         lq, lv, hessp = self._end(z)

@@ -113,7 +113,11 @@ def hull_by_engine(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:
 
 
 def faces_of(hull: coal.Convex) -> np.ndarray:
-    """Return the triangles of a hull as vertex indices, shape (m, 3)."""
+    """Return the triangles of a hull as vertex indices, shape (m, 3); one by one where there is no engine."""
+    try:
+        return faces_by_engine(hull).astype(int)
+    except ImportError:  # saved runs are read, shown and written again without it
+        pass
     polygons = [hull.polygons(k) for k in range(hull.num_polygons)]
     return np.array([[polygon[0], polygon[1], polygon[2]] for polygon in polygons], dtype=int).reshape(-1, 3)
 
@@ -123,6 +127,18 @@ def faces_by_engine(hull: coal.Convex) -> np.ndarray:
     from contactvi import _core
 
     return np.asarray(_core.hull_faces(hull.id()))
+
+
+def faces_of_mesh(mesh: coal.BVHModelBase) -> np.ndarray:
+    """Return the triangles of a mesh as vertex indices, shape (m, 3)."""
+    if mesh.num_tris == 0:
+        return np.zeros((0, 3), dtype=np.int64)
+    try:
+        mesh.buildConvexRepresentation(True)  # shares the triangles, and so gives them at once and not one by one
+    except RuntimeError:  # a vertex has more neighbours than coal can count
+        corners = (mesh.tri_indices(k) for k in range(mesh.num_tris))
+        return np.array([(corner[0], corner[1], corner[2]) for corner in corners], dtype=np.int64)
+    return faces_by_engine(mesh.convex).astype(np.int64)
 
 
 def _finished(hull: coal.Convex) -> coal.Convex:

@@ -6,20 +6,22 @@ has.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from contactvi import cache
 from contactvi.importing.hulls import check_shape, crowded_text, faces_by_engine, hull_by_engine, hull_of_points
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
 from contactvi.importing.paths import mesh_error
 from contactvi.importing.report import PartReport, number
-from contactvi.importing.submeshes import volume_of
+from contactvi.importing.submeshes import Array, volume_inside, volume_of
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -38,13 +40,24 @@ class MeshFile:
         """Return the mesh; its numbers are those that Pinocchio's reader finds. Raises what coal raises."""
         return coal.MeshLoader(coal.BV_AABB).load(self.path, np.array(self.scale))
 
-    def key(self) -> str | None:
-        """Return the name of its hull in the cache; None where the file does not tell all."""
+    def read_for(self, name: str) -> coal.BVHModelBase:
+        """Return the mesh of a geometry with this name.
+
+        Raises:
+            SceneError: for a file that is no mesh.
+        """
+        try:
+            return self.read()
+        except (ValueError, RuntimeError) as error:
+            raise mesh_error(self.path, error, name) from error
+
+    def key(self, what: str = "hull of a mesh file") -> str | None:
+        """Return the name of what is made of it in the cache; None where the file does not tell all."""
         path = Path(self.path)
         if path.suffix.lower() not in SELF_CONTAINED:
             return None
         try:
-            return cache.key("hull of a mesh file", path.suffix.lower(), path.read_bytes(), *self.scale)
+            return cache.key(what, path.suffix.lower(), path.read_bytes(), *self.scale)
         except OSError:
             return None  # its reader says what is wrong
 
@@ -77,21 +90,40 @@ class MeshHull:
         keep_hull(name, KeptHull(np.array(self.shape.points()), faces_by_engine(self.shape), numbers))
 
 
+class _Started(NamedTuple):
+    """A hull that is being made: of so many vertices, with the name of its entry in the cache."""
+
+    made: Future[coal.Convex]
+    key: str | None
+    vertices: int
+    volume: Callable[[], float]
+
+    def finish(self) -> MeshHull:
+        """Wait for the hull and keep it; raises what making it raises."""
+        hull = MeshHull(self.made.result(), self.vertices, self.volume())
+        if self.key is not None:
+            hull.keep(self.key)
+        return hull
+
+
 class MeshHulls:
-    """The hulls of the meshes of one model."""
+    """The hulls of the meshes of one model.
+
+    A mesh is a file, or the name that its hull has in the cache.
+    """
 
     def __init__(self) -> None:
-        self._files: dict[str, MeshFile] = {}  # of geometries, by their names
+        self._sources: dict[str, MeshFile | str] = {}  # of geometries, by their names
         self._keys: dict[MeshFile, str | None] = {}
-        self._hulls: dict[MeshFile, MeshHull] = {}
+        self._hulls: dict[MeshFile | str, MeshHull] = {}
         self._meshes: dict[MeshFile, coal.BVHModelBase] = {}
-        self._made: dict[MeshFile, Future[coal.Convex]] = {}
+        self._started: dict[MeshFile | str, _Started] = {}
         self._maker: ThreadPoolExecutor | None = None
 
     def take(self, geometry: pin.GeometryObject, file: MeshFile) -> None:
         """Give a geometry the hull of a file, where the cache has it, else its mesh.
 
-        The hull of the mesh is made in a thread of its own, while the next files are read.
+        The hull of the mesh is made in another thread, while the next files are read.
 
         Raises:
             SceneError: for a file that is no mesh.
@@ -102,11 +134,25 @@ class MeshHulls:
             if hull is not None:
                 self._hulls[file] = hull
             else:
-                mesh = self._meshes[file] = self._read(file, geometry.name)
-                self._made[file] = self._start(mesh, f"{geometry.name} ({Path(file.path).name})")
-        self._files[geometry.name] = file
+                mesh = self._meshes[file] = file.read_for(geometry.name)
+                name = f"{geometry.name} ({Path(file.path).name})"
+                self._start(file, key, mesh.vertices(), name, lambda: volume_of(mesh, file.path, np.array(file.scale)))
+        self._sources[geometry.name] = file
         geometry.geometry = self._hulls[file].shape if file in self._hulls else self._meshes[file]
         geometry.meshPath, geometry.meshScale = file.path, np.array(file.scale)
+
+    def take_surface(self, geometry: pin.GeometryObject, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
+        """Let a geometry have the hull of vertices (n, 3) [m] and triangles (m, 3), made as those of files are."""
+        points = np.ascontiguousarray(vertices, dtype=float)
+        volume = volume_inside(points, faces)
+        key = self._sources[geometry.name] = cache.key("hull of a mesh", points.tobytes(), volume)
+        if key in self._hulls or key in self._started:
+            return
+        hull = MeshHull.found(key)
+        if hull is not None:
+            self._hulls[key] = hull
+        else:
+            self._start(key, key, points, geometry.name, lambda: volume)
 
     def of(self, geometry: pin.GeometryObject) -> MeshHull | None:
         """Return the hull of a geometry with a mesh; None for another shape.
@@ -114,35 +160,25 @@ class MeshHulls:
         Raises:
             SceneError: for a mesh without one.
         """
-        file = self._files.get(geometry.name)
-        if file is not None and file in self._hulls:
-            return self._hulls[file]
-        mesh = geometry.geometry
-        if not isinstance(mesh, coal.BVHModelBase):
-            return None
-        if file is None:
-            return _hull_of(mesh, geometry.name)
-        shape = self._made[file].result()
-        volume = volume_of(mesh, file.path, np.array(file.scale))
-        hull = self._hulls[file] = MeshHull(shape, int(mesh.num_vertices), volume)
-        if (key := self._keys[file]) is not None:
-            hull.keep(key)
-        return hull
+        source = self._sources.get(geometry.name)
+        if source is None:
+            mesh = geometry.geometry
+            return _hull_of(mesh, geometry.name) if isinstance(mesh, coal.BVHModelBase) else None
+        if source not in self._hulls:
+            self._hulls[source] = self._started[source].finish()
+        return self._hulls[source]
 
-    @staticmethod
-    def _read(file: MeshFile, name: str) -> coal.BVHModelBase:
-        try:
-            return file.read()
-        except (ValueError, RuntimeError) as error:
-            raise mesh_error(file.path, error, name) from error
-
-    def _start(self, mesh: coal.BVHModelBase, name: str) -> Future[coal.Convex]:
-        """Start making a hull."""
+    def _start(
+        self, source: MeshFile | str, key: str | None, points: Array, name: str, volume: Callable[[], float]
+    ) -> None:
+        """Start making the hull of points (n, 3); name: for errors."""
         if self._maker is None:
             from concurrent.futures import ThreadPoolExecutor  # here: it takes time to import
 
-            self._maker = ThreadPoolExecutor(1)
-        return self._maker.submit(hull_of_points, mesh.vertices(), name)
+            from contactvi.threads import cores
+
+            self._maker = ThreadPoolExecutor(cores())
+        self._started[source] = _Started(self._maker.submit(hull_of_points, points, name), key, len(points), volume)
 
 
 def prepare_geometry(geometry: pin.GeometryObject, report: PartReport, hulls: MeshHulls) -> str:

@@ -15,6 +15,7 @@ from contactvi.elements.element import Element
 from contactvi.errors import InputError
 from contactvi.importing.hulls import describe
 from contactvi.importing.mjcf.actuators import Actuator
+from contactvi.importing.pictures import Picture
 from contactvi.importing.report import BodyRow, GeometryRow, PartReport
 from contactvi.inputs import is_text, real, unit_vector, vector
 
@@ -59,12 +60,14 @@ class Part:
     Attributes:
         kind: "urdf", "mjcf", "pinocchio" or "primitive".
         model, collision: Pinocchio models without the prefix and without the placement.
-        load_visual: returns the visual GeometryModel; it is called late, because pictures load slowly.
+        load_pictures: returns what is drawn; it is called late, because pictures load slowly.
         placement: where the part's own world frame lies in the scene's.
         start: neutral configuration of the part, shape (nq,).
         disabled: link pairs switched off by the SRDF, with its reason.
         given_pairs: collision pairs (geometry indices) given with the model; None = the default choice.
         checks_overlaps: whether given pairs that overlap in the model's own pose are left out.
+        neutral_overlaps: of stored scenes, pairs (geometry indices) that overlap at the neutral pose, which runs test
+            where they start apart: their depths as text, and whether both shapes were of one part.
         self_collision: whether links of the model may touch each other.
         mimics: mimic tags by joint, for the report.
         data: what else the file says.
@@ -76,12 +79,13 @@ class Part:
     collision: pin.GeometryModel
     start: np.ndarray
     report: PartReport
-    load_visual: Callable[[], pin.GeometryModel]
+    load_pictures: Callable[[], list[Picture]]
     prefix: str = ""
     placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
     disabled: list[tuple[str, str, str]] = field(default_factory=list)
     given_pairs: list[tuple[int, int]] | None = None
     checks_overlaps: bool = False
+    neutral_overlaps: Mapping[tuple[int, int], tuple[str, bool]] = field(default_factory=dict)
     self_collision: bool = True
     mimics: Mapping[str, object] = field(default_factory=dict)
     data: FileData = field(default_factory=FileData)
@@ -150,7 +154,7 @@ def shape_part(
         collision=collision,
         start=start,
         report=report,
-        load_visual=lambda: visual_of(collision, rgba if rgba is not None else _color(name, bool(joint))),
+        load_pictures=lambda: shown(collision, rgba if rgba is not None else _color(name, bool(joint))),
         placement=pin.SE3.Identity() if joint else placement,
     )
     if joint:
@@ -192,16 +196,12 @@ def _color(name: str, free: bool) -> Sequence[float]:
     return COLORS[sum(name.encode()) % len(COLORS)] if free else GROUND_COLOR
 
 
-def visual_of(collision: pin.GeometryModel, color: Sequence[float] | np.ndarray) -> pin.GeometryModel:
-    """Return pictures of collision shapes; a halfspace is drawn as a plate."""
-    visual = pin.GeometryModel()
-    for geometry in collision.geometryObjects:
-        picture = geometry.copy()
-        picture.meshColor = np.asarray(color, dtype=float)
-        if isinstance(picture.geometry, coal.Halfspace):
-            picture = plate_of(picture)
-        visual.addGeometryObject(picture)
-    return visual
+def shown(collision: pin.GeometryModel, color: Sequence[float] | np.ndarray) -> list[Picture]:
+    """Return pictures of collision shapes."""
+    copies = [geometry.copy() for geometry in collision.geometryObjects]
+    for copy in copies:
+        copy.meshColor = np.asarray(color, dtype=float)
+    return [Picture(copy) for copy in copies]
 
 
 def plate_of(geometry: pin.GeometryObject) -> pin.GeometryObject:
@@ -290,9 +290,9 @@ def copy_geometry(source: pin.GeometryModel | None) -> pin.GeometryModel:
     return result
 
 
-def pictures(part: Part) -> list[pin.GeometryObject]:
+def pictures(part: Part) -> list[Picture]:
     """Return the part's pictures, halfspaces as plates."""
     return [
-        plate_of(geometry) if isinstance(geometry.geometry, coal.Halfspace) else geometry.copy()
-        for geometry in part.load_visual().geometryObjects
+        Picture(plate_of(shape) if isinstance(shape.geometry, coal.Halfspace) else shape.copy(), surface)
+        for shape, surface in ((picture.geometry, picture.surface) for picture in part.load_pictures())
     ]

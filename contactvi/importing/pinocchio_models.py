@@ -11,6 +11,7 @@ from contactvi.errors import InputError, SceneError
 from contactvi.importing.checks import check_lengths
 from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.part import Part, copy_geometry
+from contactvi.importing.pictures import pictures_of
 from contactvi.importing.prepare import finish, neutral, reported
 from contactvi.importing.report import PartReport
 from contactvi.inputs import is_rigid
@@ -59,7 +60,7 @@ def import_pinocchio(
             collision=collision,
             start=neutral(model),
             report=report,
-            load_visual=lambda: visual,
+            load_pictures=lambda: pictures_of(visual),
             given_pairs=given or None,
         )
         finish(part, title, MeshHulls())

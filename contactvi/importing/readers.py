@@ -9,6 +9,7 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,12 @@ from contactvi.files import checked_path
 from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.joint_kinds import ONE_DOF, joint_kind
 from contactvi.importing.mesh_hulls import MeshHulls
-from contactvi.importing.meshes import collision_geometry, visual_geometry, without_shapes
-from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
+from contactvi.importing.meshes import collision_geometry, pictures_of_urdf, without_shapes
+from contactvi.importing.mjcf.compiler import open_source
 from contactvi.importing.mjcf.model import ALLOWED, SOLREF, Choices, MjcfFile, part_of
-from contactvi.importing.part import Part, copy_geometry
+from contactvi.importing.part import Part
 from contactvi.importing.paths import mesh_error, reason_of, resolve_path
+from contactvi.importing.pictures import Picture, pictures_of
 from contactvi.importing.prepare import finish, neutral, reported
 from contactvi.importing.report import PartReport
 from contactvi.importing.srdf import Srdf, add_group_states, read_srdf
@@ -85,7 +87,7 @@ def import_urdf(
             collision=collision,
             start=neutral(model),
             report=report,
-            load_visual=lambda: _visual(file, lambda: visual_geometry(model, urdf.xml), collision),
+            load_pictures=cache(lambda: _pictures(file, lambda: pictures_of_urdf(model, urdf.xml), collision)),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
             disabled=[*urdf.filtered, *found.pairs],
@@ -132,8 +134,7 @@ def open_mjcf(path: str | os.PathLike[str], folder: Path | None = None) -> MjcfF
     file = resolve_path(path, folder)
     report = PartReport(f"{file.stem}: MJCF {file}")
     with reported(report, file):
-        mujoco = import_mujoco()
-        return MjcfFile(file, Source(mujoco, compile_file(mujoco, file, report), report))
+        return MjcfFile(file, open_source(file, report))
 
 
 def import_mjcf(
@@ -154,17 +155,18 @@ def import_mjcf(
     if not (restitution is None or restitution == SOLREF):
         restitution = real("restitution", restitution, 0.0, 1.0)
     prefix, kinds = words("prefix", prefix), _allowed(allow)
-    report = opened.source.report
+    report, hulls = opened.source.report, MeshHulls()
     with reported(report, opened.path):
         part = part_of(
             opened,
             Choices(
                 prefix, placement, gravity, flag("equality", equality), flag("actuators", actuators), restitution, kinds
             ),
+            hulls,
         )
         report.prefix_names(prefix)
         report.title = f"{part.name}: MJCF {opened.path}"
-        finish(part, opened.path.name, MeshHulls())
+        finish(part, opened.path.name, hulls)
     return part
 
 
@@ -203,7 +205,7 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
         ) from error
 
 
-def _visual(file: Path, build: Callable[[], pin.GeometryModel], collision: pin.GeometryModel) -> pin.GeometryModel:
-    """Load pictures; for a model without any, copy its collision shapes."""
-    visual = _parse(file, build)
-    return visual if len(visual.geometryObjects) else copy_geometry(collision)
+def _pictures(file: Path, load: Callable[[], list[Picture]], collision: pin.GeometryModel) -> list[Picture]:
+    """Load pictures; a model without any is drawn by its collision shapes."""
+    found: list[Picture] = _parse(file, load)
+    return found or pictures_of(collision)

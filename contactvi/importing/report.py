@@ -262,7 +262,8 @@ def _pairs_text(report: ImportReport, most: int) -> list[str]:
 
 
 ADJACENT = "adjacent bodies (joined by one joint)"
-OVERLAP = "overlapping at the neutral pose"
+OVERLAP = "overlapping at the neutral pose: tested in runs that start where they are apart"
+SAME_BODY = "fixed to each other"
 BY_FILE = "disabled by the model's files"
 BY_USER = "disabled by disable_pair"
 HALFSPACES = "two halfspaces, which always overlap"

@@ -14,6 +14,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import coal
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import TornMeshWarning
+from contactvi.importing.hulls import faces_of_mesh
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -67,6 +69,11 @@ def volume_of(mesh: coal.BVHModelBase, path: str, scale: Array) -> float:
     if Path(path).suffix.lower() == ".stl" or not unused_vertices(*arrays_of(mesh)):
         return float(mesh.computeVolume())
     vertices, faces = surface_of(mesh, path, scale)
+    return volume_inside(vertices, faces)
+
+
+def volume_inside(vertices: NDArray[Any], faces: NDArray[Any]) -> float:
+    """Return the volume inside of a closed surface [m^3]."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.sum(a * np.cross(b, c)) / 6.0)
 
@@ -78,9 +85,7 @@ def unused_vertices(vertices: Array, faces: Faces) -> int:
 
 def arrays_of(mesh: coal.BVHModelBase) -> tuple[Array, Faces]:
     """Return vertices (n, 3) and faces (m, 3) of a mesh of coal."""
-    corners = (mesh.tri_indices(k) for k in range(mesh.num_tris))
-    faces = np.array([(corner[0], corner[1], corner[2]) for corner in corners], dtype=np.int64).reshape(-1, 3)
-    return np.array(mesh.vertices(), dtype=float).reshape(-1, 3), faces
+    return np.array(mesh.vertices(), dtype=float).reshape(-1, 3), faces_of_mesh(mesh)
 
 
 def _pieces(path: Path, scale: Array) -> Iterator[coal.BVHModelBase]:

@@ -20,10 +20,11 @@ from contactvi.scene.scene import Scene
 Indices = NDArray[np.int64]
 
 # The kinds of entries, each at the place of its number.
-KINDS = ("impact", "limit", "begin", "release", "stick", "slip", "zeno", "inconsistent")
+KINDS = ("impact", "limit", "begin", "release", "stick", "slip", "zeno", "inconsistent", "overlap")
 _OF_CHANGE = {
     Change.BEGIN: "begin", Change.RELEASE: "release", Change.STICK: "stick", Change.SLIP: "slip",
     Change.BOUNCING_ENDED: "zeno", Change.INCONSISTENT: "inconsistent",
+    Change.OVERLAP: "overlap",
 }  # fmt: skip
 MAX_IMPACTS = 10_000  # listed of a run, the strongest ones; 80 bytes each: 0.8 MB of the page
 MAX_CHANGES = 10_000  # spread over the run

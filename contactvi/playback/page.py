@@ -123,11 +123,17 @@ def page_data(
             remedy="Give what simulate returns",
         )  # fmt: skip
     title, play, forces = words("title", title), flag("play", play), flag("forces", forces)
-    chosen = camera_of(camera if camera is not None else run.scene.camera or "auto")
-    check_followed(chosen, bodies_of(run))
+    chosen = chosen_camera(run, camera)
     title = title or title_of(run.scene)
     moment = None if moment is None else moment - float(run.t[0])
     return _data(run, frames_of(run, float(fps)), forces, chosen, moment) | {"title": title, "play": play}
+
+
+def chosen_camera(run: Run, camera: Any) -> Camera:
+    """Return the camera that is asked for, else that of the scene; InputError for a bad one."""
+    chosen = camera_of(camera if camera is not None else run.scene.camera or "auto")
+    check_followed(chosen, bodies_of(run))
+    return chosen
 
 
 def fill_page(data: dict[str, Any], *, script: str = "", further: tuple[str, ...] = ()) -> str:

@@ -18,9 +18,9 @@ import numpy as np
 
 from contactvi.errors import ContactviError, InputError
 from contactvi.files import checked_path, write_atomic
-from contactvi.inputs import count, entries, positive, real, short
+from contactvi.inputs import count, entries, flag, positive, real, short
 from contactvi.playback.browser import find_browser, pictures
-from contactvi.playback.page import Run, make_html
+from contactvi.playback.page import Run, chosen_camera, make_html
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -72,6 +72,8 @@ def render(
         times = np.array([real("at", at, first, last, expected=f"a time of the run, {first:g} to {last:g} s")])
     else:
         times = _times(first, last, start, end, fps, speed)
+    chosen_camera(run, camera)  # what is wrong with it is told before a browser is looked for
+    forces = flag("forces", forces)
     find_browser()
     if kind == ".mp4":
         _find_ffmpeg()

@@ -94,11 +94,12 @@ def _surfaces(faces: NDArray[np.int64], unit: Array) -> NDArray[np.int64]:
     vertex = faces.reshape(-1)[ends]
     ends = np.where((vertex[:, 0] > vertex[:, 1])[:, None], ends[:, ::-1], ends)
     vertex = np.sort(vertex, axis=1)
-    order = np.lexsort((vertex[:, 1], vertex[:, 0]))
-    ends, vertex = ends[order], vertex[order]
+    edge = vertex[:, 0] * (1 + int(faces.max(initial=0))) + vertex[:, 1]
+    order = np.argsort(edge, kind="stable")
+    ends, edge = ends[order], edge[order]
     links = []
     for apart in (1, 2, 3):  # sides of one edge follow each other; where sheets meet there are more than two
-        same = np.all(vertex[apart:] == vertex[:-apart], axis=1)
+        same = edge[apart:] == edge[:-apart]
         mine, other = ends[:-apart][same], ends[apart:][same]
         smooth = np.einsum("ij,ij->i", unit[mine[:, 0] // 3], unit[other[:, 0] // 3]) > _CREASE
         links += [np.stack([mine[smooth, k], other[smooth, k]], axis=1) for k in (0, 1)]

@@ -16,8 +16,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi import cache
 from contactvi.elements.forces import PathSpring
 from contactvi.errors import SceneError
+from contactvi.importing.hulls import faces_of
+from contactvi.importing.pictures import Picture, Surface, find_surface
 from contactvi.importing.submeshes import surface_of
 from contactvi.inputs import is_rigid
 
@@ -150,10 +153,9 @@ class Visual:
 
 def from_scene(scene: Scene) -> list[Visual]:
     """Return what is to be drawn of a scene, at most MAX_TRIANGLES triangles."""
-    planes = {solid.name: solid for solid in scene.collision_model.geometryObjects if _is_plane(solid)}
-    shown = [shape for shape in scene.visual_model.geometryObjects if shape.name not in planes]
-    found = [visual for shape in shown if (visual := from_geometry(shape)) is not None]
-    found += [visual for plane in planes.values() if (visual := from_geometry(plane)) is not None]
+    planes = {solid.name: Picture(solid) for solid in scene.collision_model.geometryObjects if _is_plane(solid)}
+    shown = [picture for picture in scene.pictures() if picture.geometry.name not in planes]
+    found = [visual for picture in (*shown, *planes.values()) if (visual := from_picture(picture)) is not None]
     return thin_out(found + _lines(scene), MAX_TRIANGLES)
 
 
@@ -177,12 +179,15 @@ def _line(name: str, joints: Sequence[int], points: ArrayLike, color: Color) -> 
     return Visual(name, 0, np.eye(4), "line", carriers, color, vertices, np.zeros((0, 3), np.uint32))
 
 
-def from_geometry(shape: pin.GeometryObject) -> Visual | None:
-    """Return the picture of one geometry object; None for a kind that cannot be drawn and for an empty mesh."""
-    solid = shape.geometry
+def from_picture(picture: Picture) -> Visual | None:
+    """Return what is drawn of a picture; None for a kind that cannot be drawn and for an empty mesh."""
+    shape, solid = picture.geometry, picture.geometry.geometry
     kind = type(solid).__name__
+    name, sizes = "mesh", tuple[float, ...]()
     vertices, faces = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32)
-    if kind in _SIZES:
+    if picture.surface is not None:
+        vertices, faces = picture.surface
+    elif kind in _SIZES:
         name, sizes = kind.lower(), tuple(float(getattr(solid, size)) for size in _SIZES[kind])
     elif kind == "Box":
         name, sizes = "box", tuple(float(size) for size in solid.halfSide)
@@ -191,26 +196,24 @@ def from_geometry(shape: pin.GeometryObject) -> Visual | None:
     elif kind in ("Halfspace", "Plane"):
         name, sizes = "halfspace", (*(float(x) for x in solid.n), float(solid.d))
     elif kind.startswith("BVHModel"):
-        name, sizes = "mesh", ()
         points, corners = surface_of(solid, str(shape.meshPath), np.array(shape.meshScale))
-        if not np.all(np.isfinite(points)):
-            raise SceneError(
-                f"Picture of geometry {shape.name!r}",
-                path=shape.meshPath or None,
-                body=shape.name,
-                expected="vertices that are finite",
-                got=f"nan or inf in {shape.meshPath or 'its mesh'}",
-                remedy="Repair the mesh, or take its <visual> out of the file",
-            )
         vertices, faces = points.astype(np.float32), corners.astype(np.uint32)
     elif kind == "Convex":
-        name, sizes = "mesh", ()
         vertices = np.array(solid.points(), dtype=np.float32)
-        faces = np.array([_corners(solid.polygons(k)) for k in range(solid.num_polygons)], dtype=np.uint32)
+        faces = faces_of(solid).astype(np.uint32)
     else:
         return None
     if name == "mesh" and not len(faces):
         return None
+    if not _finite(vertices):
+        raise SceneError(
+            f"Picture of geometry {shape.name!r}",
+            path=shape.meshPath or None,
+            body=shape.name,
+            expected="vertices that are finite in single precision",
+            got=f"nan or inf in {shape.meshPath or 'its mesh'}",
+            remedy="Repair the mesh, or take its <visual> out of the file",
+        )
     return Visual(
         name=str(shape.name),
         joint=int(shape.parentJoint),
@@ -230,69 +233,83 @@ def thin_out(visuals: list[Visual], most: int) -> list[Visual]:
         return visuals
     thinned = []
     for visual in visuals:
-        vertices, faces = _clustered(visual.vertices, visual.faces, max(200, len(visual.faces) * most // total))
+        surface = Surface(visual.vertices, visual.faces)
+        vertices, faces = _thinned(surface, max(200, len(visual.faces) * most // total))
         thinned.append(replace(visual, vertices=vertices, faces=faces))
     return thinned
 
 
-def _clustered(
-    vertices: NDArray[np.float32], faces: NDArray[np.uint32], most: int
-) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Return vertices and faces of the mesh with at most `most` triangles (coarser grids are tried until it is)."""
+def _thinned(surface: Surface, most: int) -> Surface:
+    """Return a mesh reduced to at most `most` triangles, from the cache on disk where it is there."""
+    if len(surface.faces) <= most:
+        return surface
+    key = cache.key("thinned mesh", *(array.tobytes() for array in surface), float(most))
+    found = find_surface(key)
+    if found is None:
+        found = _clustered(*surface, most)
+        cache.keep(key, found)
+    return found
+
+
+def _clustered(vertices: NDArray[np.float32], faces: NDArray[np.uint32], most: int) -> Surface:
+    """Return the mesh with at most `most` triangles (coarser grids are tried until it is)."""
     # About two triangles per occupied cell, and a surface crosses about 3 k^2 cells of a grid of k^3.
     cells = max(2, int(np.sqrt(most)))
-    while len(faces) > most:
-        low = vertices.min(axis=0)
-        size = max(float(np.ptp(vertices, axis=0).max()), 1e-9) / cells
-        _, group = np.unique(np.floor((vertices - low) / size).astype(np.int64), axis=0, return_inverse=True)
-        group = group.reshape(-1)
-        corners = group[faces]
-        a, b, c = corners.T
-        corners = corners[(a != b) & (b != c) & (c != a)]
+    points = np.ascontiguousarray(vertices.T)  # sums over rows of three numbers take ten times as long
+    from_low = points - points.min(axis=1, keepdims=True)
+    extent = max(float(from_low.max()), 1e-9)
+    while True:
+        size = extent / cells
+        group = np.unique(_numbered(np.floor(from_low / size).astype(np.int64)), return_inverse=True)[1]
+        a, b, c = corners = group[faces.T]
+        corners = corners[:, (a != b) & (b != c) & (c != a)]
         # One triangle per set of corners: merging lays several on top of each other.
-        _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
+        first = np.unique(_numbered(np.sort(corners, axis=0)), return_index=True)[1]
         if len(first) <= most or cells <= 2:
-            merged = _merged(vertices.astype(float), faces, group, size)
-            return merged.astype(np.float32), corners[np.sort(first)].astype(np.uint32)
+            merged = _merged(points.astype(float), faces, group, size)
+            return Surface(merged.astype(np.float32), np.ascontiguousarray(corners[:, np.sort(first)].T, np.uint32))
         cells = int(cells * 0.8)
-    return vertices, faces
+
+
+def _numbered(columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a number for each column (a, b, c) of numbers from 0 to below 2^21, in the order of the columns."""
+    numbers: NDArray[np.int64] = (columns[0] << 42) | (columns[1] << 21) | columns[2]
+    return numbers
 
 
 def _merged(
-    vertices: NDArray[np.float64], faces: NDArray[np.uint32], group: NDArray[np.int64], size: float
+    points: NDArray[np.float64], faces: NDArray[np.uint32], group: NDArray[np.int64], size: float
 ) -> NDArray[np.float64]:
-    """Return the point of each cell with the least squares of distances to the planes of its faces, near its mean.
+    """Return the place in each cell of points (3, n) with the least squares of distances to the planes of its faces.
+
+    It is near the mean of the points.
 
     Where faces leave a direction free (a plane, an edge) the mean of the vertices decides: flat stays flat, and edges
     sharp. The mean alone would dent both.
     """
     cells = int(group.max()) + 1
     count = np.bincount(group)
-    mean = np.stack([np.bincount(group, vertices[:, k]) / count for k in range(3)], axis=1)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.sqrt(np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))  # its square is the area
-    square, side = np.zeros((cells, 3, 3)), np.zeros((cells, 3))
+    means = np.stack([np.bincount(group, coordinate) / count for coordinate in points])
+    a, b, c = (points[:, faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a, axis=0)
+    normal /= np.sqrt(np.maximum(np.sqrt((normal * normal).sum(axis=0)), 1e-300))  # its square is the area
+    square, side = np.zeros((3, 3, cells)), np.zeros((3, cells))
     for k in range(3):
         cell = group[faces[:, k]]
-        distance = np.sum(normal * (a - mean[cell]), axis=1)
+        distance = (normal * (a - means[:, cell])).sum(axis=0)
         for i in range(3):
-            side[:, i] += np.bincount(cell, normal[:, i] * distance, minlength=cells)
-            for j in range(3):
-                square[:, i, j] += np.bincount(cell, normal[:, i] * normal[:, j], minlength=cells)
-    values, axes = np.linalg.eigh(square)
+            side[i] += np.bincount(cell, normal[i] * distance, minlength=cells)
+            for j in range(i + 1):
+                square[i, j] += np.bincount(cell, normal[i] * normal[j], minlength=cells)
+    values, axes = np.linalg.eigh(np.moveaxis(square, 2, 0))  # which reads the lower triangle
     fixed = values > _FREE * values[:, 2:]
-    along = np.einsum("cji,cj->ci", axes, side)
+    along = np.einsum("cji,jc->ci", axes, side)
     along = np.where(fixed & (values > 0.0), along / np.where(values > 0.0, values, 1.0), 0.0)
-    return np.asarray(mean + np.clip(np.einsum("cij,cj->ci", axes, along), -0.5 * size, 0.5 * size))
+    return np.asarray(means.T + np.clip(np.einsum("cij,cj->ci", axes, along), -0.5 * size, 0.5 * size))
 
 
 def _finite(values: Any) -> bool:
     return bool(np.isfinite(values).all())
-
-
-def _corners(triangle: Any) -> tuple[int, int, int]:
-    return triangle[0], triangle[1], triangle[2]
 
 
 def _is_plane(shape: pin.GeometryObject) -> bool:

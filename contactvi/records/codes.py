@@ -36,6 +36,7 @@ class Change(IntEnum):
     SLIP = 3
     BOUNCING_ENDED = 4  # value: when the impacts would have accumulated [s]
     INCONSISTENT = 5  # Painleve: rigid bodies with friction have no answer without an impulse; value: A [1/kg]
+    OVERLAP = 6  # a pair overlaps by more than is promised, and by half more than any before; value: its gap [m]
 
 
 class StepKind(IntEnum):

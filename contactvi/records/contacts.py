@@ -43,6 +43,7 @@ FIELDS: Fields = {
     "end": (3, float),
     "gap": (0, float),
     "slip": (3, float),
+    "slip_before": (3, float),
 }
 CHANGE_FIELDS: Fields = {
     "time": (0, float),
@@ -322,9 +323,9 @@ class ContactChange:
         time: [s].
         kind, pair: as of an `Event`.
         point: number of the point within the pair.
-        change: "begin", "release", "stick", "slip", "bouncing ended" or "inconsistent".
+        change: "begin", "release", "stick", "slip", "bouncing ended", "inconsistent" or "overlap".
         value: of "bouncing ended" the time when impacts would have accumulated [s], of "inconsistent" (Painleve) A
-            [1/kg]; 0 of the others, which have no value.
+            [1/kg], of "overlap" the gap of the pair [m]; 0 of the others, which have no value.
     """
 
     time: float

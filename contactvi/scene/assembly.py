@@ -6,7 +6,7 @@ added, each depth-first, so the whole model is depth-first, which Pinocchio's sp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from contactvi.importing.joint_kinds import PLACING, joint_kind
 from contactvi.importing.part import Part, pictures
+from contactvi.importing.pictures import Picture
 
 _PER_Q = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
 _PER_V = (
@@ -76,15 +77,16 @@ def assemble(parts: Sequence[Part], gravity: np.ndarray) -> Assembly:
     )
 
 
-def assemble_visual(parts: Sequence[Part], model: pin.Model) -> pin.GeometryModel:
+def assemble_pictures(parts: Sequence[Part], model: pin.Model) -> list[Picture]:
     """Return the pictures of all parts, attached to the joints of the assembled model."""
-    visual = pin.GeometryModel()
+    found: dict[str, Picture] = {}
     for part in parts:
         joints = [0] + [model.getJointId(name) for name in part.joint_names()]
-        for geometry in pictures(part):
-            geometry.name = _unused(visual, geometry.name, part.prefix)
-            visual.addGeometryObject(_moved(geometry, part, joints, None))
-    return visual
+        for picture in pictures(part):
+            geometry = _moved(picture.geometry, part, joints, None)
+            geometry.name = _unused(found, geometry.name, part.prefix)
+            found[geometry.name] = Picture(geometry, picture.surface)
+    return list(found.values())
 
 
 def _add_joints(model: pin.Model, part: Part) -> list[int]:
@@ -165,10 +167,10 @@ def _moved(geometry: pin.GeometryObject, part: Part, joints: list[int], frames: 
     return copy
 
 
-def _unused(visual: pin.GeometryModel, name: str, prefix: str) -> str:
+def _unused(taken: Container[str], name: str, prefix: str) -> str:
     """Return a name that no picture has yet; two parts may have links of one name."""
     candidate, count = prefix + name, 1
-    while visual.existGeometryName(candidate):
+    while candidate in taken:
         count += 1
         candidate = f"{prefix}{name}_{count}"
     return candidate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from contactvi.scene.engine import EngineScene, make_engine_scene
 from contactvi.scene.joint_arrays import JointArrays, apply_settings
 from contactvi.scene.joints import JointTable
 from contactvi.scene.pair_names import PairNames
-from contactvi.scene.pairs import ContactRules, choose_pairs
+from contactvi.scene.pairs import ContactRules, NeutralOverlaps, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
 from contactvi.states import States
@@ -54,7 +54,9 @@ class Built:
         arrays: Joint settings as arrays.
         pairs: Names of the tested pairs, in the engine's order.
         removed: Pairs that are not tested, with the reasons.
+        overlaps: Pairs that overlap at the neutral pose, of which a run tests those that are apart in its start.
         restitution, friction: Of the tested pairs, shapes (npairs,).
+        overlap_values: Restitution and friction of the pairs of `overlaps`, shape (2, n).
         elements: Constraints, springs and forces as the engine takes them.
         names: What selectors mean.
     """
@@ -65,8 +67,10 @@ class Built:
     arrays: JointArrays
     pairs: PairNames
     removed: list[RemovedPair]
+    overlaps: NeutralOverlaps
     restitution: np.ndarray
     friction: np.ndarray
+    overlap_values: np.ndarray
     elements: Resolved
     names: Names
 
@@ -131,8 +135,18 @@ class Built:
         return [model.names[i] for i in range(1, model.njoints) if some[model.idx_vs[i] : model.idx_vs[i] + 1].any()]
 
 
-def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: Sequence[Element]) -> Built:
-    """Return the complete scene; the assembly of the parts is left as it is."""
+def build(
+    parts: PartList,
+    contact: ContactRules,
+    joints: JointTable,
+    elements: Sequence[Element],
+    apart: Collection[tuple[str, str]] = (),
+) -> Built:
+    """Return the complete scene; the assembly of the parts is left as it is.
+
+    Args:
+        apart: pairs, by name, that are tested although they overlap at the neutral pose.
+    """
     base = parts.assembly
     model, start = base.model.copy(), base.start.copy()
     equalities = [element for element in elements if isinstance(element, EqualityConstraint)]
@@ -148,7 +162,8 @@ def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: 
         importlib.import_module("contactvi._core")
     index = parts.names.geometries
     disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (contact.disabled, contact.enabled))
-    chosen, removed = choose_pairs(assembly, parts.parts, disabled, enabled)
+    tested = {(min(index[a], index[b]), max(index[a], index[b])) for a, b in apart}
+    chosen, removed, overlaps = choose_pairs(assembly, parts.parts, disabled, enabled, tested)
     names = list(index)
     return Built(
         model,
@@ -157,8 +172,10 @@ def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: 
         arrays,
         PairNames(names, chosen),
         removed,
+        overlaps,
         contact.restitution.values(names, chosen),
         contact.friction.values(names, chosen),
+        np.array([rule.values(names, overlaps.numbers) for rule in (contact.restitution, contact.friction)]),
         resolve(elements, model, start),
         parts.names,
     )

@@ -10,6 +10,9 @@ bodies      [{name, joint, placement}]
 geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}]; the pictures of a
             trajectory are stored beside the scene (visuals.py)
 pairs, pair_restitution, pair_friction, restitution, friction (defaults)
+neutral_overlaps [{pair, depth (text), one_part, restitution, friction}]: pairs that overlap at the neutral pose, of
+            which a run tests those that are apart in its start; what the stored run tested is among `pairs` too. Not in
+            files of older versions
 stiffness, rest, limits, limit_restitution; start (neutral q); parts {name: {joints, bodies, geometries}}
 dry_friction (nv), servo (3 x nv: kp, kd, effort), actuator (2 x nv: effort, velocity limits; inf: none), targets of
             servos {joint: motion}, polynomials [[joint (index), rest, [k1, k2, ...]]] of nonlinear springs
@@ -34,7 +37,8 @@ from contactvi.elements.stored import element_from_data
 from contactvi.errors import SceneError
 from contactvi.importing.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
 from contactvi.importing.joint_kinds import MANY_DOFS, ONE_DOF, joint_kind, joint_model, motion_axis
-from contactvi.importing.part import Part, copy_geometry
+from contactvi.importing.part import Part
+from contactvi.importing.pictures import pictures_of
 from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
 from contactvi.scene.build import Built
@@ -51,7 +55,7 @@ _SHAPES = {shape.__name__.lower(): shape for shape in PRIMITIVES}
 
 @dataclass
 class SceneData:
-    """The contents of a stored scene, from which `Scene.from_dict` makes one."""
+    """The contents of a stored scene, from which `Scene.from_dict` makes one; apart: as `Scene.with_apart` takes it."""
 
     gravity: np.ndarray
     part: Part
@@ -63,6 +67,7 @@ class SceneData:
     v0: np.ndarray | None
     settings: dict[str, Any]
     camera: Camera | None
+    apart: frozenset[tuple[str, str]]
 
 
 def scene_to_dict(
@@ -84,6 +89,7 @@ def scene_to_dict(
         "pairs": [list(pair) for pair in built.pairs],
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
+        "neutral_overlaps": _overlaps_to_dict(built),
         "restitution": contact.restitution.default,
         "friction": contact.friction.default,
         "stiffness": arrays.stiffness.tolist(),
@@ -135,6 +141,10 @@ def _read(data: Mapping[str, Any]) -> SceneData:
     model = _model(data)
     collision = _collision(data, model)
     index = {g.name: k for k, g in enumerate(collision.geometryObjects)}
+    overlaps = {
+        tuple(map(str, row["pair"])): (str(row["depth"]), bool(row["one_part"]))
+        for row in data.get("neutral_overlaps", ())
+    }
     part = Part(
         name="stored",
         kind="pinocchio",
@@ -142,9 +152,10 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         collision=collision,
         start=vector("start", data["start"], model.nq),
         report=PartReport("scene from stored data"),
-        load_visual=lambda: copy_geometry(collision),
+        load_pictures=lambda: pictures_of(collision),
         # An empty list means that no pair is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
+        neutral_overlaps={(index[a], index[b]): row for (a, b), row in overlaps.items()},
     )
     handles = {
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
@@ -163,12 +174,22 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         v0=None if data["v0"] is None else vector("v0", data["v0"], model.nv),
         settings=dict(data["settings"]),
         camera=None if data.get("camera") is None else camera_of(data["camera"]),
+        apart=frozenset((str(a), str(b)) for a, b in data["pairs"] if (a, b) in overlaps),
     )
 
 
 def target_name(joint: str) -> str:
     """Return the name of the target of a servo in the list of what is missing."""
     return f"target of {joint}"
+
+
+def _overlaps_to_dict(built: Built) -> list[dict[str, Any]]:
+    found = built.overlaps
+    columns = zip(found.names, found.depths, found.same_part, *built.overlap_values, strict=True)
+    return [
+        {"pair": list(pair), "depth": depth, "one_part": bool(one), "restitution": float(e), "friction": float(mu)}
+        for pair, depth, one, e, mu in columns
+    ]
 
 
 def _actuation_to_dict(built: Built) -> dict[str, Any]:
@@ -187,6 +208,10 @@ def _contact(data: Mapping[str, Any]) -> ContactRules:
     for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
         rules.restitution.set_pair([a], [b], float(e))
         rules.friction.set_pair([a], [b], float(mu))
+    for row in data.get("neutral_overlaps", ()):
+        a, b = row["pair"]
+        rules.restitution.set_pair([a], [b], float(row["restitution"]))
+        rules.friction.set_pair([a], [b], float(row["friction"]))
     return rules
 
 

@@ -9,21 +9,25 @@ By default every pair on two different bodies, except
 - pairs that overlap at the neutral pose, when their relative pose there is the model's own: two bodies of which one
   hangs on a free, planar, translation or prismatic root joint of another tree are placed by the start of a run, where
   an overlap is an error and not a property of the model; but what slides on the base of its own model is joined to it.
+  Such pairs are kept apart (`NeutralOverlaps`): a run tests those that do not overlap in its start.
 Every removal is recorded with its reason.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+import threading
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
 
 from contactvi.importing.joint_kinds import joint_kind
-from contactvi.importing.kinematics import joint_placements
+from contactvi.importing.kinematics import JointChains, joint_placements
 from contactvi.importing.part import Part
 from contactvi.importing.report import (
     ADJACENT,
@@ -32,6 +36,7 @@ from contactvi.importing.report import (
     HALFSPACES,
     NOT_GIVEN,
     OVERLAP,
+    SAME_BODY,
     SELF_COLLISION,
     RemovedPair,
 )
@@ -40,6 +45,7 @@ from contactvi.scene.assembly import Assembly
 RESTITUTION = 0.5  # default: neither plastic nor elastic
 FRICTION = 0.0
 TOUCHING = 1e-6  # [m] largest overlap at the neutral pose of shapes that merely touch
+ENABLED_BY_USER = (ADJACENT, BY_FILE, BY_USER, NOT_GIVEN, SELF_COLLISION)  # reasons that enable_pair overrules
 
 
 @dataclass
@@ -168,18 +174,87 @@ def _key(a: str, b: str) -> tuple[str, str]:
     return (a, b) if a < b else (b, a)
 
 
+@dataclass(frozen=True, eq=False)
+class NeutralOverlaps:
+    """The pairs that overlap at the neutral pose, where it is the model's own: a run tests those apart in its start.
+
+    Attributes:
+        model, geometry: the assembled model and its shapes. neutral: configuration, shape (nq,).
+        numbers: of the geometries, int32 of shape (n, 2), ascending.
+        depths: how deep each overlaps at the neutral pose, as text.
+        tested: whether the pair is tested in this scene, shape (n,).
+        same_part: whether both shapes are of one part, shape (n,).
+    """
+
+    model: pin.Model
+    geometry: pin.GeometryModel
+    neutral: np.ndarray
+    numbers: np.ndarray
+    depths: list[str]
+    tested: np.ndarray
+    same_part: np.ndarray
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @cached_property
+    def names(self) -> list[tuple[str, str]]:
+        """The names of the shapes of each pair."""
+        objects = self.geometry.geometryObjects
+        return [(objects[int(a)].name, objects[int(b)].name) for a, b in self.numbers]
+
+    def apart(self, q: np.ndarray) -> np.ndarray:
+        """Return which pairs do not overlap at q (nq,), or merely touch there, shape (n,)."""
+        if not len(self) or not np.isfinite(q).all() or np.array_equal(q, self.neutral):
+            return np.zeros(len(self), dtype=bool)
+        with self._lock:  # The joints' data are written.
+            chains, joints, shapes, geometry = self._measured
+            places = dict(zip(joints, chains.places(q), strict=True))
+            data = geometry.createData()
+        for k, shape in enumerate(shapes):
+            data.oMg[k] = places[shape.parentJoint] * shape.placement
+        return _depths(geometry, data) <= TOUCHING
+
+    @cached_property
+    def _measured(self) -> tuple[JointChains, list[int], list[pin.GeometryObject], pin.GeometryModel]:
+        """The shapes of the pairs alone, and the joints that carry them."""
+        geometry, place = pin.GeometryModel(), {}
+        for k in sorted({int(k) for k in self.numbers.ravel()}):
+            place[k] = int(geometry.addGeometryObject(self.geometry.geometryObjects[k].copy()))
+        for a, b in self.numbers:
+            geometry.addCollisionPair(pin.CollisionPair(place[int(a)], place[int(b)]))
+        shapes = list(geometry.geometryObjects)
+        joints = sorted({int(shape.parentJoint) for shape in shapes})
+        return JointChains(self.model, joints), joints, shapes, geometry
+
+
+class Choice(NamedTuple):
+    """Which pairs are tested.
+
+    Attributes:
+        pairs: indices of geometries, int32 of shape (npairs, 2), ascending as the pairs of the geometry are.
+        removed: the pairs that are not tested, with the reasons.
+        overlaps: those that overlap at the neutral pose, tested or not.
+    """
+
+    pairs: np.ndarray
+    removed: list[RemovedPair]
+    overlaps: NeutralOverlaps
+
+
 def choose_pairs(
     assembly: Assembly,
     parts: Sequence[Part],
     disabled: Iterable[tuple[int, int]] = (),
     enabled: Iterable[tuple[int, int]] = (),
-) -> tuple[np.ndarray, list[RemovedPair]]:
-    """Set the collision pairs of the assembled geometry; return their indices, and the pairs that are not tested.
-
-    The indices, int32 of shape (npairs, 2), are ascending as the pairs of the geometry are.
+    apart: Collection[tuple[int, int]] = (),
+) -> Choice:
+    """Set the collision pairs of the assembled geometry, and return them.
 
     Args:
         disabled, enabled: pairs of geometry indices switched off or on by the user, against every other reason.
+        apart: pairs that are tested although they overlap at the neutral pose.
     """
     geometry = assembly.collision
     names = [g.name for g in geometry.geometryObjects]
@@ -211,12 +286,80 @@ def choose_pairs(
     drop(*_disabled_by_file(assembly, parts))
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
     details = _overlaps(assembly, parts, keep & ~forced & ~(given & ~_checked(assembly, parts)))
+    stored = _stored_overlaps(assembly, parts)
+    details |= {pair: row[0] for pair, row in stored.items() if keep[pair] and not forced[pair]}
     mask = np.zeros((count, count), dtype=bool)
     for pair in details:
-        mask[pair] = True
+        mask[pair] = pair not in apart
     drop(mask, OVERLAP, details)
     geometry.setCollisionPairs(keep | forced)
-    return np.argwhere(keep | forced).astype(np.int32), removed
+    pairs, part = sorted(details), assembly.part_of_geometry
+    overlaps = NeutralOverlaps(
+        assembly.model, geometry, assembly.start, np.array(pairs, dtype=np.int32).reshape(-1, 2),
+        [details[pair] for pair in pairs], np.array([pair in apart for pair in pairs], dtype=bool),
+        np.array([stored[a, b][1] if (a, b) in stored else part[a] == part[b] for a, b in pairs], dtype=bool),
+    )  # fmt: skip
+    return Choice(np.argwhere(keep | forced).astype(np.int32), removed, overlaps)
+
+
+def untested_reason(
+    assembly: Assembly,
+    parts: Sequence[Part],
+    disabled: Iterable[tuple[int, int]],
+    enabled: Iterable[tuple[int, int]],
+    pairs: Iterable[tuple[int, int]],
+) -> str | None:
+    """Return why none of these pairs of geometry indices is tested, whatever the start; None where one may be.
+
+    The reason is that of the first pair. No distance is looked at: a pair that overlaps at the neutral pose may be
+    apart in the start of a run.
+    """
+    objects, part = assembly.collision.geometryObjects, assembly.part_of_geometry
+    joints = np.array([g.parentJoint for g in objects], dtype=int)
+    off, on = {_ordered(*pair) for pair in disabled}, {_ordered(*pair) for pair in enabled}
+    masks: list[tuple[np.ndarray, str]] | None = None
+    first: str | None = None
+    for pair in pairs:
+        i, j = _ordered(*pair)
+        reason = _reason_at_once(objects, joints, (i, j), off, on)
+        if reason is None and (i, j) not in on and part[i] == part[j]:
+            masks = _masks_within_parts(assembly, parts, joints) if masks is None else masks
+            reason = next((text for mask, text in masks if mask[i, j]), None)
+        if reason is None:
+            return None
+        first = reason if first is None else first
+    return first
+
+
+def _ordered(a: int, b: int) -> tuple[int, int]:
+    return (a, b) if a < b else (b, a)
+
+
+def _reason_at_once(
+    objects: Sequence[pin.GeometryObject],
+    joints: np.ndarray,
+    pair: tuple[int, int],
+    off: Collection[tuple[int, int]],
+    on: Collection[tuple[int, int]],
+) -> str | None:
+    """Return why a pair is not tested, of the reasons that need no look at the whole scene."""
+    a, b = pair
+    if isinstance(objects[a].geometry, coal.Halfspace) and isinstance(objects[b].geometry, coal.Halfspace):
+        return HALFSPACES
+    if joints[a] == joints[b]:
+        return SAME_BODY
+    return BY_USER if pair in off and pair not in on else None
+
+
+def _masks_within_parts(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> list[tuple[np.ndarray, str]]:
+    """Return the reasons that concern pairs within one part, with their masks."""
+    given = _given(assembly, parts)
+    return [
+        (_within_quiet_parts(assembly, parts), SELF_COLLISION),
+        (_adjacent(assembly, parts, joints) & ~given, ADJACENT),
+        (_disabled_by_file(assembly, parts)[0], BY_FILE),
+        (_not_given(assembly, parts) & ~given, NOT_GIVEN),
+    ]
 
 
 def _same_part(assembly: Assembly) -> np.ndarray:
@@ -287,10 +430,20 @@ def _given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
     mask = np.zeros((count, count), dtype=bool)
     for index, part in enumerate(parts):
         own = np.flatnonzero(assembly.part_of_geometry == index)
-        for a, b in part.given_pairs or ():
+        for a, b in (*(part.given_pairs or ()), *part.neutral_overlaps):
             i, j = sorted((int(own[a]), int(own[b])))
             mask[i, j] = True
     return mask
+
+
+def _stored_overlaps(assembly: Assembly, parts: Sequence[Part]) -> dict[tuple[int, int], tuple[str, bool]]:
+    """Return the pairs that overlap at the neutral pose of stored scenes: depth, and whether of one part."""
+    found = {}
+    for index, part in enumerate(parts):
+        own = np.flatnonzero(assembly.part_of_geometry == index)
+        for (a, b), row in part.neutral_overlaps.items():
+            found[_ordered(int(own[a]), int(own[b]))] = row
+    return found
 
 
 def _checked(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
@@ -345,15 +498,21 @@ def _overlaps(assembly: Assembly, parts: Sequence[Part], candidates: np.ndarray)
     shapes = geometry.createData()
     for k, place in enumerate(places):
         shapes.oMg[k] = place
-    for request in shapes.collisionRequests:
-        request.enable_contact = True  # The depth stays zero otherwise.
-    pin.computeCollisions(geometry, shapes, False)
     found = {}
-    for pair, result in zip(geometry.collisionPairs, shapes.collisionResults, strict=True):
-        depth = -result.getContact(0).penetration_depth if result.isCollision() else 0.0
+    for pair, depth in zip(geometry.collisionPairs, _depths(geometry, shapes), strict=True):
         if depth > TOUCHING:
             found[int(pair.first), int(pair.second)] = f"{1e3 * depth:.3g} mm deep"
     return found
+
+
+def _depths(geometry: pin.GeometryModel, shapes: pin.GeometryData) -> np.ndarray:
+    """Return how deep the collision pairs overlap [m], 0 where they do not, with shapes that are placed."""
+    for request in shapes.collisionRequests:
+        request.enable_contact = True  # The depth stays zero otherwise.
+    pin.computeCollisions(geometry, shapes, False)
+    return np.array(
+        [-r.getContact(0).penetration_depth if r.isCollision() else 0.0 for r in shapes.collisionResults], dtype=float
+    )
 
 
 def _geometry_placements(assembly: Assembly) -> list[pin.SE3]:

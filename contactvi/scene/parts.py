@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.importing.part import Part, take_names, with_inertia
-from contactvi.scene.assembly import Assembly, assemble, assemble_visual
+from contactvi.importing.pictures import Picture, with_meshes
+from contactvi.scene.assembly import Assembly, assemble, assemble_pictures
 from contactvi.scene.selection import Names, PartHandle
 
 Handle = TypeVar("Handle", bound=PartHandle)
@@ -30,6 +31,7 @@ class PartList:
         self._taken: dict[str, set[str]] = {}  # names by kind
         self._assembly: Assembly | None = None
         self._names: Names | None = None
+        self._pictures: list[Picture] | None = None
         self._visual: pin.GeometryModel | None = None
 
     def add(self, part: Part, kind: type[Handle]) -> Handle:
@@ -69,10 +71,17 @@ class PartList:
         return self._names
 
     @property
-    def visual(self) -> pin.GeometryModel:
+    def pictures(self) -> list[Picture]:
         """The pictures of all parts."""
+        if self._pictures is None:
+            self._pictures = assemble_pictures(self.parts, self.assembly.model)
+        return self._pictures
+
+    @property
+    def visual(self) -> pin.GeometryModel:
+        """The pictures as Pinocchio's model."""
         if self._visual is None:
-            self._visual = assemble_visual(self.parts, self.assembly.model)
+            self._visual = with_meshes(self.pictures)
         return self._visual
 
     def named_configurations(self, neutral: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -105,9 +114,10 @@ class PartList:
         twin = PartList(self.gravity)
         twin.parts, twin.handles = list(self.parts), dict(self.handles)
         twin._taken = {kind: set(names) for kind, names in self._taken.items()}
-        twin._assembly, twin._names, twin._visual = self._assembly, self._names, self._visual
+        twin._assembly, twin._names = self._assembly, self._names
+        twin._pictures, twin._visual = self._pictures, self._visual
         return twin
 
     def _forget(self) -> None:
         """Drop what was made of the parts."""
-        self._assembly = self._names = self._visual = None
+        self._assembly = self._names = self._pictures = self._visual = None

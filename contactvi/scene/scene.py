@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from contactvi.errors import InputError, UnusedSettingWarning, did_you_mean
 from contactvi.importing.mjcf.model import MjcfFile
 from contactvi.importing.part import Part
+from contactvi.importing.pictures import Picture
 from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
@@ -37,7 +38,7 @@ from contactvi.scene.joints import (
     with_armature,
     with_one_dof,
 )
-from contactvi.scene.pairs import ContactRules, within_models
+from contactvi.scene.pairs import ENABLED_BY_USER, ContactRules, untested_reason, within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.placing import place_on_ground
@@ -45,6 +46,7 @@ from contactvi.scene.report import scene_report
 from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import Names, PartHandle, Selector
+from contactvi.scene.separation import Separation, separate
 from contactvi.scene.shown import scene_html
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -76,6 +78,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self._contact = ContactRules()
         self._joints = JointTable()
         self._elements = ElementList()
+        self._apart: frozenset[tuple[str, str]] = frozenset()  # tested although they overlap at the neutral pose
         self._built: Built | None = None  # made of the four owners; every edit drops it
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
@@ -246,7 +249,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
         an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
-        of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs.
+        of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs;
+        and where none of the pairs between a and b is tested.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -266,7 +270,23 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
                     UnusedSettingWarning, stacklevel=2,
                 )  # fmt: skip
             rule.set(first, second, value)
+        if first is not None and second is not None and checked:
+            self._warn_if_untested(first, second)
         self._built = None
+
+    def _warn_if_untested(self, first: Sequence[str], second: Sequence[str]) -> None:
+        """Warn where what is set for the pairs between these geometries has no effect, because none is tested."""
+        index, rules = self.names.geometries, self._contact
+        disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (rules.disabled, rules.enabled))
+        pairs = ((index[a], index[b]) for a in first for b in second if a != b)
+        reason = untested_reason(self._parts.assembly, self._parts.parts, disabled, enabled, pairs)
+        if reason is not None:
+            more = f" (and {len(first) * len(second) - 1} more)" if len(first) * len(second) > 1 else ""
+            remedy = ". scene.enable_pair(a, b), called before, tests it" if reason in ENABLED_BY_USER else ""
+            warnings.warn(
+                f"What is set for the contact of {first[0]!r} and {second[0]!r}{more} has no effect, because it is not "
+                f"tested: {reason}{remedy}", UnusedSettingWarning, stacklevel=3,
+            )  # fmt: skip
 
     def disable_pair(self, a: Selector, b: Selector) -> None:
         """Take all pairs between a and b out of the collision pairs."""
@@ -306,6 +326,38 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         """
         at = self._state(self.q0 if q is None else q)
         return place_on_ground(self.built(), self._parts.assembly.root_of_joint, self.names, part, at, ground)
+
+    def separate(
+        self,
+        q: ArrayLike | None = None,
+        limit: float | None = None,
+        fixed: Sequence[Selector] | Selector = (),
+        t: float = 0.0,
+    ) -> Separation:
+        """Return the configuration nearest to q that has no overlaps, with what was moved for it.
+
+        The change is the smallest one in the metric of the mass matrix, within the limits of joints and on the
+        constraints. Free bodies and bases of robots are moved first, with all joints as they are; where that is not
+        enough, or too far, joints move too, and their changes count a hundredfold. Joints beyond a limit come back to
+        it. What touches in the end touches to rounding. `scene.q0 = scene.separate(q).q` makes it the start of runs;
+        simulate(..., start="separate") does so for one run.
+
+        Args:
+            q: configuration, shape (nq,); None: the scene's q0, else neutral.
+            limit: how far a point of a body may be moved [m]. None: 0.01, and no overlap of two bodies may be deeper
+                than a quarter of the smaller one (of the longest edge of its box), because the way out is a guess then.
+            fixed: joints that keep their values, by name, pattern or handle.
+            t: time [s], for constraints that depend on it.
+
+        Raises:
+            SeparationError: nothing within the limit ends the overlaps.
+        """
+        built, time = self.built(), real("t", t)
+        at = self._state(self.q0 if q is None else q)
+        most = None if limit is None else real("limit", limit, 0.0)
+        names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
+        dofs = sorted({dof for name in names for dof in dofs_of(built.model, name)})
+        return separate(built, at, most, dofs, time)
 
     def enable_pair(self, a: Selector, b: Selector) -> None:
         """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""
@@ -415,7 +467,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def built(self) -> Built:
         """Return the complete scene: one model with its pairs, joint arrays and elements. Treat it as constant."""
         if self._built is None:
-            self._built = build(self._parts, self._contact, self._joints, self._elements.elements)
+            self._built = build(self._parts, self._contact, self._joints, self._elements.elements, self._apart)
         return self._built
 
     @property
@@ -437,6 +489,10 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def visual_model(self) -> pin.GeometryModel:
         """The pictures; loaded on first use. Halfspaces are plates."""
         return self._parts.visual
+
+    def pictures(self) -> list[Picture]:
+        """Return what is drawn, as `visual_model` with meshes as plain arrays; loaded on first use."""
+        return self._parts.pictures
 
     @property
     def nq(self) -> int:
@@ -605,6 +661,12 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
 
     # --- copies and plain data ----------------------------------------------------------------------------------------
 
+    def with_apart(self, pairs: Collection[tuple[str, str]]) -> Scene:
+        """Return a copy that tests just these of the pairs that overlap at the neutral pose (for runs, `at_start`)."""
+        twin = self.copy()
+        twin._apart, twin._built = frozenset(pairs), None
+        return twin
+
     def copy(self) -> Scene:
         """Return a scene that is edited apart from this one; what is built is shared until one of them is edited."""
         twin = type(self).__new__(type(self))
@@ -642,6 +704,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         scene._parts.add_stored(stored.part, stored.handles)
         scene._contact, scene._joints, scene._elements = stored.contact, stored.joints, stored.elements
         scene.q0, scene.v0, scene.settings = stored.q0, stored.v0, stored.settings
+        scene._apart = stored.apart
         scene._camera = stored.camera
         return scene
 

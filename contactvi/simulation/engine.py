@@ -12,6 +12,7 @@ from contactvi import _core, inputs
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
 from contactvi.interrupts import held_back
 from contactvi.options import Options
+from contactvi.scene.separation import Separation, separate
 from contactvi.simulation.messages import remedy
 from contactvi.simulation.recorder import BLOCK, Array, Record
 from contactvi.simulation.results import EngineResult, EngineStatus
@@ -119,28 +120,44 @@ def start(
     Raises:
         InputError: for a bad state.
     """
-    return start_checked(engine, compiled, options, *checked_start(compiled, q0, v0, t, engine))
+    begun, moved = checked_start(compiled, options, q0, v0, t, engine)
+    record, refused = start_checked(engine, compiled, options, *begun)
+    record.separation = moved
+    return record, refused
 
 
 def checked_start(
     compiled: CompiledScene,
+    options: Options,
     q0: ArrayLike | None,
     v0: ArrayLike | None,
     t: float = 0.0,
     engine: _core.Simulator | None = None,
-) -> tuple[Array, Array, float]:
-    """Return q0, v0 and t as arrays and a number; the arguments and errors as those of `start`.
+) -> tuple[tuple[Array, Array, float], Separation | None]:
+    """Return q0, v0 and t as arrays and a number, and what was moved; the arguments and errors as those of `start`.
 
     Args:
         engine: one that waits between two runs, in which the mass matrix is looked at; None: one made for it.
     """
     states = compiled.states
-    q = states.configuration(compiled.q0 if q0 is None else q0)
     begin = t if type(t) is float and t == 0.0 else float(inputs.array("t", t, (), "the start time in seconds"))
+    q, moved = moved_apart(compiled, options, states.configuration(compiled.q0 if q0 is None else q0), begin)
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
     compiled.check_start(q, v, begin, engine)
-    return q, v, begin
+    return (q, v, begin), moved
+
+
+def moved_apart(compiled: CompiledScene, options: Options, q: Array, t: float) -> tuple[Array, Separation | None]:
+    """Return a start, (nq,), without overlaps where the options ask for it, and what was moved for it.
+
+    Raises:
+        SeparationError: the overlaps cannot be ended within the limits.
+    """
+    if options.start == "given":
+        return q, None
+    moved = separate(compiled.built, q, None, (), t)
+    return moved.q.copy(), moved
 
 
 def start_checked(

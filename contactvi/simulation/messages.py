@@ -13,8 +13,9 @@ REMEDY = {
     StatusCode.NOT_FINITE: "Use a smaller dt, and look for huge forces or tiny masses",
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
     StatusCode.TOO_MANY_IMPACTS: "Use a smaller dt, or raise max_impacts_per_step",
-    StatusCode.PENETRATION: "Move the start apart; scene.disable_overlapping(q0) takes out the pairs within one model "
-    "that overlap there, scene.disable_pair(a, b) any pair",
+    StatusCode.PENETRATION: "start='separate' moves it apart by the least, scene.separate(q0) tells what that moves; "
+    "scene.disable_overlapping(q0) takes out the pairs within one model that overlap there, scene.disable_pair(a, b) "
+    "any pair",
     StatusCode.CONSTRAINT: "Mend the prescribed motions and lengths, or use a smaller dt",
     StatusCode.TOO_MANY_STEPS: "Look for huge forces, stiff springs and tiny masses; use a larger tol, or a shorter "
     "duration",

@@ -19,6 +19,7 @@ from contactvi.records.point_numbers import PointNumbers
 from contactvi.records.recent import Recent
 from contactvi.records.rows import joined
 from contactvi.records.work import GrowingForces
+from contactvi.scene.separation import Separation
 from contactvi.simulation.messages import describe
 from contactvi.simulation.results import Columns, EngineResult, EngineStatus
 from contactvi.status import Stats, Status, StatusCode
@@ -63,6 +64,7 @@ class Record:
         self.forces = GrowingForces(t, compiled.constraint_rows)
         self.inputs = GrowingInputs() if options.record == "gradient" else None
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
+        self.separation: Separation | None = None  # what was moved for the start
 
     def collect(self, result: EngineResult) -> Status:
         """Take over what the engine did: nodes that `record_every` wants, events, segments, counts, status."""
@@ -324,12 +326,14 @@ class Record:
             t = times
         if forces.t is not t and not np.array_equal(forces.t, t):
             forces = forces.sampled(t)
-        return Trajectory(
+        found = Trajectory(
             self.compiled, self.options, t, q, p, self.log(), self.status, self.stats,
             forced=self.forced, segments=segments, adaptive_steps=self.adaptive_steps, error_estimate=error_estimate,
             contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
             dense_steps=self.dense_log(), inputs=None if self.inputs is None else self.inputs.joined(),
         )  # fmt: skip
+        found.separation = self.separation
+        return found
 
     def _sampled(self, t: Array, q: Array, p: Array, segments: dense.Segments, times: Array) -> tuple[Array, Array]:
         """Return q (N, nq) and p (N, nv) at times (N,), the first and the last of which are nodes."""

@@ -10,10 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
+from contactvi.errors import (
+    AccuracyWarning,
+    ConstraintError,
+    DenseStepWarning,
+    InputError,
+    PenetrationError,
+    SimulationError,
+)
 from contactvi.inputs import callback, check_signature, flag
 from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
+from contactvi.records.codes import Change
 from contactvi.simulation import adaptive
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import remedy
@@ -89,7 +97,8 @@ def simulate(
         DerivativeError: for wrong derivatives of theirs.
 
     Warns:
-        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached.
+        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached. Where bodies overlap or
+            the energy rises by more than the error of a step.
         DenseStepWarning: once, at the end, where a run with contact_mode="auto" took dense steps: their share of the
             time and their worst figures. Not with "steps", which asks for them, and not before a SimulationError, whose
             trajectory has them.
@@ -123,12 +132,15 @@ def simulate(
         else:
             traj = run_compiled(compiled, settings, q0, v0, inputs, target, called, throw, ctrl_c)
         dense = settings.contact_mode == "auto" and traj.stats.dense_steps > 0
+        broken = broken_promises(traj)
         if ctrl_c.settle() and traj.status.ok:  # between the end of the run and now
             traj.status = Status.interrupted(traj.status.time)
         if throw and not traj.status.ok:
             raise ended_early(settings, traj.status, traj)
         if dense:
             warn_of_dense_steps(traj)
+        for text in broken:
+            warnings.warn(text, AccuracyWarning, stacklevel=2)
         return traj
 
 
@@ -155,6 +167,27 @@ def warn_of_dense_steps(traj: Trajectory, stacklevel: int = 3) -> None:
         DenseStepWarning,
         stacklevel=stacklevel,
     )
+
+
+def broken_promises(traj: Trajectory) -> list[str]:
+    """Return in words where bodies overlap, or the energy rises in dense steps, by more than the error of a step."""
+    told, changes, rises = [], traj.contact_changes, traj.dense_steps["energy_rise"]
+    overlaps = np.flatnonzero(changes.array("change") == Change.OVERLAP)
+    if len(overlaps):
+        first, worst = changes[int(overlaps[0])], changes[int(overlaps[np.argmin(changes.array("value")[overlaps])])]
+        told.append(
+            f"Bodies overlap by more than is promised: {worst.pair[0]!r} and {worst.pair[1]!r} by {-worst.value:.2g} m"
+            f" at t = {worst.time:.6g} s, first at t = {first.time:.6g} s (traj.contact_changes with 'overlap')."
+            " Smaller steps (dt, dt_contact) keep gaps better"
+        )
+    if np.any(rises > 0.0):
+        k, since = int(np.argmax(rises)), int(np.argmax(rises > 0.0))
+        told.append(
+            f"The energy rises by more than the error of a dense step: by {rises[k]:.2g} J at t ="
+            f" {traj.dense_steps.t[k]:.6g} s, first at t = {traj.dense_steps.t[since]:.6g} s"
+            " (traj.dense_steps['energy_rise'])"
+        )
+    return told
 
 
 def _check_auto(compiled: CompiledScene, inputs: str | None) -> None:
@@ -188,6 +221,7 @@ def run_compiled(
 
     Only a run that ends before its time without an error of its own is returned with its status whatever `throw` is.
     """
+    compiled = compiled.at_start(q0)
     if options.auto:
         return adaptive.run(compiled, options, q0, v0, progress, throw, ctrl_c)
     check_map(compiled, options)

@@ -48,7 +48,8 @@ class Simulator(PresentDynamics):
             status = sim.step(controller(sim.t, sim.q, sim.v))
 
     Parameters: the scene, dt [s] (a number), and the other options of `Options` (what is not given comes from the
-    scene's file). The scene is taken as it is now; later edits do not reach a running simulator.
+    scene's file). The scene is taken as it is now; later edits do not reach a running simulator. Of the pairs that
+    overlap at the neutral pose, those are tested that are apart in the start of the last `reset`.
 
     One call at a time: while it steps, other threads and its own callbacks get a SimulationError (callbacks may read t,
     q and v). Threads take a `copy` each.
@@ -74,7 +75,7 @@ class Simulator(PresentDynamics):
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene as it was when the simulator was made."""
+        """The scene as it was when the simulator was made, with the pairs that are tested since the last reset."""
         return self._scene.scene()
 
     def built(self) -> Built:
@@ -90,13 +91,19 @@ class Simulator(PresentDynamics):
         """
         with self._unused():
             self._user = threading.get_ident()
-            run = self._run
-            if run is None:
-                run = self._run = Run(self._scene, self.options, q0, v0, t)
+            run, scene = self._run, self._scene.at_start(q0)
+            if run is None or scene is not self._scene:
+                run = Run(scene, self.options, q0, v0, t)
+                self._take(scene, run)
             else:
                 self._restart(run, q0, v0, t)
             if run.refused is not None:
                 raise run.refused
+
+    def _take(self, scene: CompiledScene, run: Run) -> None:
+        """Go on with a run of the scene with the pairs that its start leaves apart."""
+        self._scene, self._run = scene, run
+        self.__dict__.pop("scene", None)
 
     def _restart(self, run: Run, q0: ArrayLike | None, v0: ArrayLike | None, t: float) -> None:
         """Start a run again; where the start is refused by a check it stays what it was."""
@@ -233,7 +240,8 @@ class Simulator(PresentDynamics):
         What follows is equal to the bit. Raises InputError for a snapshot of another scene or other options; the scene
         of one that was read from a pickle is a scene of its own (`of`).
         """
-        if not isinstance(snapshot, Snapshot) or snapshot.scene is not self._scene or snapshot.options != self.options:
+        own = isinstance(snapshot, Snapshot) and snapshot.scene.same_but_start(self._scene)
+        if not own or snapshot.options != self.options:
             got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
             raise InputError(
                 "Snapshot",
@@ -244,8 +252,8 @@ class Simulator(PresentDynamics):
             )
         with self._unused():
             self._user = threading.get_ident()
-            if self._run is None:
-                self._run = Run.of(snapshot)
+            if self._run is None or snapshot.scene is not self._scene:
+                self._take(snapshot.scene, Run.of(snapshot))
             else:
                 self._run.load(snapshot)
 

@@ -170,7 +170,7 @@ def simultaneous_outcomes(
             joints or the constraints do not let it.
         PenetrationError: where a contact that takes part by itself is deeper than `tolerance`.
     """
-    compiled = compile_scene(scene)
+    compiled = compile_scene(scene).at_start(q)
     states = compiled.states
     q0 = states.configuration(compiled.q0 if q is None else q, "q")
     v0 = states.velocity(compiled.v0 if v is None else v, "v")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
+import threading
+import warnings
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.elements.constraints import PrescribedPose
-from contactvi.elements.forces import UserForce, UserPotential
+from contactvi.elements.forces import PathSpring, UserForce, UserPotential
 from contactvi.errors import (
     ConstraintError,
     DerivativeError,
     InputError,
     NotDifferentiable,
     SceneError,
+    UntestedPairWarning,
     UserFunctionError,
 )
 from contactvi.importing.checks import dof_joint
@@ -24,6 +28,7 @@ from contactvi.inputs import short
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
+from contactvi.scene.element_rows import SpringRow
 from contactvi.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -32,6 +37,7 @@ if TYPE_CHECKING:
 # Of a velocity of size 1 that becomes a momentum and a velocity again. Of good robots 1e-14 is lost, and half where a
 # motion has no inertia; in between, this share of every velocity of a run is rounding.
 MOST_LOST = 1e-3
+_MOST_STARTS = 32  # sets of pairs, of the last starts, whose scenes are kept
 
 
 class CompiledScene:
@@ -49,9 +55,13 @@ class CompiledScene:
         engines: of simulations, by their settings, which nobody uses now.
         linearizers: engines that linearise steps, by order and tolerance, which nobody uses now.
         empty_logs: logs without rows, by kind, which runs without events share.
+
+    Of the pairs that overlap at the neutral pose a run tests those that are apart in its start. A compiled scene tests
+    one set of them; `at_start` returns the one for a start, which is made once for each set.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, base: CompiledScene | None = None) -> None:
+        """Compile a scene; base: that of other starts, with which it shares what was made for them."""
         built = scene.built()
         _refuse_missing(scene)
         self.core: _core.Scene = scene.core()
@@ -67,6 +77,57 @@ class CompiledScene:
         self.engines: dict[tuple[Any, ...], list[_core.Simulator]] = {}
         self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
         self.empty_logs: dict[str, Any] = {}
+        self._base = self if base is None else base
+        self._by_apart: dict[
+            frozenset[tuple[str, str]], CompiledScene
+        ] = {}  # of the base, the last one used at its end
+        self._lock = threading.Lock()
+        self._told: set[tuple[str, str]] = set()  # untested pairs of which the base has warned
+
+    def at_start(self, q: Any) -> CompiledScene:
+        """Return the scene with the pairs that a run from q (nq,) tests; None: from the start of the scene.
+
+        Warns (UntestedPairWarning), once for each pair, where shapes of two parts, of which the user has added one to
+        the other, overlap there as in neutral, and are not tested.
+
+        Raises:
+            InputError: for a bad q.
+        """
+        overlaps = self.built.overlaps
+        if not len(overlaps):
+            return self
+        at = overlaps.apart(self.states.configuration(self.q0 if q is None else q))
+        self._warn_of_untested(np.flatnonzero(~at & ~overlaps.same_part))
+        if np.array_equal(at, overlaps.tested):
+            return self
+        base, names = self._base, overlaps.names
+        wanted = frozenset(names[k] for k in np.flatnonzero(at))
+        if np.array_equal(at, base.built.overlaps.tested):
+            return base
+        with base._lock:
+            found = base._by_apart.pop(wanted, None) or CompiledScene(base._scene.with_apart(wanted), base)
+            base._by_apart[wanted] = found  # now the last one
+            if len(base._by_apart) > _MOST_STARTS:
+                del base._by_apart[next(iter(base._by_apart))]
+        return found
+
+    def same_but_start(self, other: CompiledScene) -> bool:
+        """Return whether both are of one scene, perhaps with pairs for other starts."""
+        return self._base is other._base
+
+    def _warn_of_untested(self, untested: NDArray[np.intp]) -> None:
+        overlaps, told = self.built.overlaps, self._base._told
+        new = [k for k in untested.tolist() if overlaps.names[k] not in told]
+        if not new:
+            return
+        told.update(overlaps.names[k] for k in new)
+        listed = ", ".join(f"{a!r} and {b!r}" for a, b in (overlaps.names[k] for k in new[:3]))
+        more = f" and {len(new) - 3} more" if len(new) > 3 else ""
+        warnings.warn(
+            f"Not tested for contact, because they overlap in the start as in neutral: {listed}{more}."
+            " Start where they are apart, or move what you have added; scene.disable_pair(a, b) says that it is meant",
+            UntestedPairWarning, stacklevel=_callers(),
+        )  # fmt: skip
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle keeps: the scene, of which all else is made again."""
@@ -121,6 +182,13 @@ class CompiledScene:
             "driven constraints": any(row.driven for row in found.constraints),
         }
         return next((what for what, is_there in reasons.items() if is_there), None)
+
+    @cached_property
+    def ropes(self) -> list[tuple[str, SpringRow]]:
+        """The springs that act in tension only, with their names."""
+        springs = [element.name for element in self._scene.elements if isinstance(element, PathSpring)]
+        rows = zip(springs, self.built.elements.springs, strict=True)
+        return [(name, row) for name, row in rows if row.tension_only]
 
     def start_velocity(self, q: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         """Return the velocity of a start at q (nq,) for which none was given: rest, or the nearest to it, (nv,)."""
@@ -217,6 +285,14 @@ class CompiledScene:
             if isinstance(element, (UserPotential, UserForce)):
                 with contextlib.suppress(UserFunctionError):  # the function need not be defined there
                     check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
+
+
+def _callers() -> int:
+    """Return the stack level, for warnings of the caller, of the first function that is not of contactvi."""
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "contactvi":
+        frame, level = frame.f_back, level + 1
+    return level
 
 
 def _refuse_missing(scene: Scene) -> None:

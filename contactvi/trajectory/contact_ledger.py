@@ -8,8 +8,6 @@ own; their losses are those of their events and no friction work.
 
 Friction work is the work of a step's two impulses on the slip between its ends. They count as forces at a third and at
 two thirds of the step, where the contact step has them: that is exact where the slip changes evenly, else to O(h^2).
-The slip at the start of the first step of a contact, and after an impact, is not recorded. It is extrapolated from the
-end of that step and the step after it if that one slips, else it is taken to be the slip at the end.
 
 Rows of dense steps do no friction work: impacts lie inside of these steps, so slips at the ends do not give the work.
 What a dense step took, by friction and restitution together, is its energy_loss (contactvi.records.dense_steps), which
@@ -32,7 +30,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.importing.joint_kinds import joint_kind
-from contactvi.records.codes import ContactMode, GuardKind
+from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ContactLog
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 
@@ -122,25 +120,10 @@ class ContactLedger:
     def friction_work(self) -> Array:
         """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 in impacts, dense steps."""
         log = self._contacts
-        slip, h = log.array("slip"), log.h
-        before = slip.copy()
-        keys = [log.array(name) for name in ("kind", "index", "point")]
-        order = np.lexsort(
-            (h, log.t, *keys)
-        )  # point by point, in the order of time, an impact before the step after it
-        same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
-        same &= h[order[:-1]] > 0.0  # rows of impacts have no slip after the impact
-        same &= np.abs(log.t[order[1:]] - log.end[order[:-1]]) <= 1e-9 * (h[order[1:]] + h[order[:-1]])
-        first, second = order[:-1][same], order[1:][same]
-        before[second] = slip[first]
-        new = np.ones(len(h), dtype=bool)
-        new[second] = False
-        guessed = new[first] & (h[first] > 0.0) & (h[second] > 0.0) & (log.array("mode")[second] == ContactMode.SLIP)
-        first, second = first[guessed], second[guessed]
-        before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
+        before, slip = log.array("slip_before"), log.array("slip")
         with np.errstate(over="ignore", invalid="ignore"):  # work of huge numbers may be infinite
             work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
-        counts = (h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & (log.array("dense") == 0)
+        counts = (log.h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & (log.array("dense") == 0)
         return np.where(counts, work.sum(axis=1) / 3.0, 0.0)
 
     @cached_property

@@ -58,6 +58,7 @@ contact/start         (c, 3)         position impulse of the step on the second 
 contact/end           (c, 3)         velocity impulse of the step [N s]; of limits the first component counts
 contact/gap           (c,)           signed distance at the end [m or rad]
 contact/slip          (c, 3)         tangential velocity of the second shape against the first at the end [m/s]
+contact/slip_before   (c, 3)         the same at the start of the step; 0 in impacts and dense steps
 change/time           (d,)           when a contact changed [s]; changes only in runs that have some
 change/kind           (d,) int64     as event/kind
 change/index          (d,) int64     as event/index
@@ -102,7 +103,7 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 7; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 8; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
@@ -110,6 +111,11 @@ The header is an object with the keys
 - scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.playback.visuals.Visual fields
 
 in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
+
+Meshes are stored as they are drawn: thinned out to what a viewer turns, float32 and uint32, equal ones once. So a run
+is shown where the files of its model are not, and reading it parses none. Nothing is compressed, which would take
+longer than all else of saving; what takes its time is reading the files of the pictures, if they are not in the cache
+(contactvi/cache.py) and the run has not been shown before.
 
 The numbers in event/kind, event/method, event/fallback, contact/mode and change/change are those of
 contactvi.records.codes.
@@ -143,7 +149,7 @@ from contactvi.trajectory.polynomials import Segments
 from contactvi.version import version
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 7
+SCHEMA = 8
 _NODES: dict[str, str | None] = {
     "t": None,
     "q": "q",

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from contactvi import _core
     from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
+    from contactvi.scene.separation import Separation
     from contactvi.trajectory.hessian import HessianVector
     from contactvi.trajectory.sensitivity import Sensitivity
 
@@ -69,6 +70,8 @@ class Trajectory(Exports):
             [s]; else None.
         error_estimate: with dt="auto", the measured error of q over the run [m, rad] (contactvi.simulation.adaptive);
             else NaN.
+        separation: with start="separate", what was moved of the start that was given (contactvi.Separation); else None,
+            and in runs that are read from files.
 
     Old names, kept for this release: arcs of adaptive_steps, "held" of "persistent" in phases.
     """
@@ -124,6 +127,7 @@ class Trajectory(Exports):
         self._visuals = visuals
         self.forces = forces
         self.inputs = inputs
+        self.separation: Separation | None = None
         self._ledger: Ledger | None = None
 
     arcs = alias("adaptive_steps")

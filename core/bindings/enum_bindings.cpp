@@ -68,13 +68,16 @@ void expose_contact_enums(nb::module_& m) {
       .value("STICK", Change::kStick)
       .value("SLIP", Change::kSlip)
       .value("BOUNCING_ENDED", Change::kBouncingEnds)
-      .value("INCONSISTENT", Change::kInconsistent);
+      .value("INCONSISTENT", Change::kInconsistent)
+      .value("OVERLAP", Change::kOverlap);
   nb::enum_<PointKind>(m, "PointKind", nb::is_arithmetic(), "The geometry that a contact point comes from.")
       .value("WITNESS", PointKind::kWitness)
       .value("VERTEX", PointKind::kVertex)
       .value("RIM", PointKind::kRim)
       .value("LIMIT", PointKind::kLimit)
-      .value("EDGE", PointKind::kEdge);
+      .value("EDGE", PointKind::kEdge)
+      .value("END", PointKind::kEnd)
+      .value("RIM_LINE", PointKind::kRimLine);
 }
 
 }  // namespace

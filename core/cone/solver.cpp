@@ -98,7 +98,11 @@ bool ConeSolver::keep_better(double* lambda, int rows) {
   return result_.residual <= kConeTolerance;
 }
 
-bool ConeSolver::may_rescue(int rows) {
+bool ConeSolver::may_rescue(const ConeProblem& problem) {
+  // A contact that goes on slipping in a given direction may have no solution (Painleve's paradox): the caller frees it.
+  for (const ConeContact& c : problem.contacts)
+    if (c.frozen && c.rows == 3) return false;
+  const int rows = static_cast<int>(problem.b.size());
   if (rows <= kFew) return true;
   const double square = static_cast<double>(rows) * rows;
   if (square > rescues_left_) {
@@ -177,7 +181,7 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     attempt(problem, regularize, lambda.data());
     if (newton_.residual() <= kConeTolerance) clear_open(problem, lambda.data());
     result_.ok = keep_better(lambda.data(), m);
-    if (!(result_.residual <= std::max(problem.accept, kConeTolerance)) && may_rescue(m))
+    if (!(result_.residual <= std::max(problem.accept, kConeTolerance)) && may_rescue(problem))
       result_.ok = rescue(problem, regularize, lambda.data());
     std::copy_n(best_.data(), m, lambda.data());
     if (!result_.ok) keep_in_cones(problem, lambda.data());

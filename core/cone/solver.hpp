@@ -37,7 +37,7 @@ class ConeSolver {
   bool plain(const ConeProblem& problem, double* lambda);
   bool shifted(const ConeProblem& problem, double* lambda);
   bool attempt(const ConeProblem& problem, bool regularize, double* lambda);
-  bool may_rescue(int rows);
+  bool may_rescue(const ConeProblem& problem);
   bool rescue(const ConeProblem& problem, bool regularize, double* lambda);
   void clear_open(const ConeProblem& problem, double* lambda) const;
   static void keep_in_cones(const ConeProblem& problem, double* lambda);

@@ -9,7 +9,9 @@ namespace contactvi {
 
 namespace {
 constexpr double kShare = 1.0 / 12.0;  // of the squares of angles and changes of velocity, see energy_error
-constexpr double kGapError = 1e-9;     // [m] of an overlap that a nominal step may move bodies out of
+constexpr double kGauss =
+    10.0;  // of the accelerations without contacts: those with them are hardly more, see energy_error
+constexpr double kGapError = 1e-9;  // [m] of an overlap that a nominal step may move bodies out of
 }  // namespace
 
 double ContactStep::joint_friction_loss() const {
@@ -26,10 +28,12 @@ double ContactStep::driven_work() const {
 }
 
 // The energy that a midpoint step conserves differs from H by h^2 (a.M a and T omega^2) / 12 or less, and what it
-// differs by changes in the step. Persistent contacts do no work but where they move bodies out of an overlap. Driven
+// differs by changes in the step. Forces of contacts and constraints that persist change the accelerations by no more
+// than those without them and the turning of the bodies ask for (Gauss's principle of least constraint): impulses that
+// are those of an impact excuse no gain. Persistent contacts do no work but where they move bodies out of an overlap. Driven
 // constraints move by the mean of their speeds at both nodes, the trapezoid of which driven_work() is the work, and the
 // bodies by the step: where these differ so does what their forces do.
-double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) const {
+double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) {
   const double turn = largest_turn(scene_->tree, v_, h_);
   const double kinetic = 0.5 * std::max(p0.dot(v_start_), p1.dot(v1_));
   double mass = 0.0, impulses = 0.0;
@@ -40,7 +44,11 @@ double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) const {
     const VecX mean = 0.5 * ((node0_.W + node1_.W).leftCols(bilateral_).transpose() * v_ + node0_.rate + node1_.rate);
     trapezoid = std::abs((lambda_ + lambda_end_).head(bilateral_).dot(mean));
   }
-  return trapezoid + kShare * (turn * turn * kinetic + std::abs((p1 - p0).dot(v1_ - v_start_))) +
+  change_ = p1 - p0 - node0_.W * lambda_ - node1_.W * lambda_end_;
+  dv_ = change_;
+  integrator_.solve_mass(dv_);
+  const double turned = turn * turn * kinetic, free = kGauss * (change_.dot(dv_) + turned);
+  return trapezoid + kShare * (turned + std::min(free, std::abs((p1 - p0).dot(v1_ - v_start_)))) +
          kGapError * (mass * scene_->tree.gravity.norm() + impulses / std::max(h_, nominal_h_));
 }
 

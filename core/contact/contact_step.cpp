@@ -17,7 +17,7 @@ constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking 
 // Residual of a cone problem that counts as solved: while the iterations go on, and when they have settled. Redundant
 // rows agree only as far as the iterations have come; better impulses would press the points of a body against each
 // other.
-constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
+constexpr double kAcceptFirst = 1e-6, kAccept = 3e-8;
 constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
 constexpr double kShortRim = 1e-9, kShort = 1e-5;    // of a nominal step; see counts_by_rate
 constexpr double kStalled = 1e3;                     // of the convergence limit: iterations that stall below it end
@@ -88,6 +88,7 @@ void ContactStep::set_rows() {
     node->at.resize(n);
     node->t1.resize(n);
     node->side.resize(n);
+    node->along.resize(n);
     node->phi.resize(bilateral_);
     node->rate.resize(bilateral_);
     if (node->W.cols() != rows_ || node->W.rows() != nv) node->W.resize(nv, rows_);
@@ -126,6 +127,13 @@ Vec3 ContactStep::position_on_plane(const ContactPoint& point) const {
   return at.R_W[point.plane_body].transpose() * (c - at.p_W[point.plane_body]);
 }
 
+// Where the point of contact i lies on its bodies, which are placed.
+void ContactStep::set_place(const ContactPoint& point, std::size_t i, Node& node) const {
+  const Placements& at = guards_->placements(point.guard);
+  node.side[i] = Manifolds::side_of_rim(point, at);
+  node.along[i] = manifolds_->place_along(point, at, node.at[i]);
+}
+
 void ContactStep::start_node(const VecCRef& q0) {
   const double t = integrator_.time();
   const bool same_time = bilateral_ == 0 || std::abs(node0_.t - t) <= kSameTime * (1.0 + std::abs(t));
@@ -138,7 +146,7 @@ void ContactStep::start_node(const VecCRef& q0) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
     evaluate(persistent, node0_.at[i]);
-    node0_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements(persistent.point.guard));
+    set_place(persistent.point, i, node0_);
     node0_.t1[i] = persistent.mu == 0.0 ? Vec3(Vec3::Zero())
                    : persistent.point.kind == PointKind::kVertex
                        ? tangent_at(persistent, node0_.at[i], node0_.at[i], persistent.tangent)
@@ -157,7 +165,7 @@ void ContactStep::end_node(const VecX& q1, double t1) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
     evaluate(persistent, node1_.at[i]);
-    node1_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements(persistent.point.guard));
+    set_place(persistent.point, i, node1_);
     node1_.t1[i] = tangent_at(persistent, node1_.at[i], node0_.at[i], node0_.t1[i]);
     guards_->rows(persistent.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], persistent.rows()));
   }

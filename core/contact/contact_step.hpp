@@ -85,7 +85,7 @@ class ContactStep final : public Stepper {
     return follows_ && node0_.known && p == p1_ && q == node0_.q ? &v_node_ : nullptr;
   }
   // By how much the step may change the energy besides its work [J], but for rounding: see gains_energy.
-  double energy_error(const VecCRef& p0, const VecCRef& p1) const;
+  double energy_error(const VecCRef& p0, const VecCRef& p1);
   // Work of inputs, dissipation by damping and by joint friction, work of driven constraints [J].
   double input_work() const { return integrator_.input_work(); }
   double damping_loss() const { return integrator_.damping_loss(); }
@@ -98,9 +98,10 @@ class ContactStep final : public Stepper {
   void restart();
   // The constraint that the last step could not satisfy, -1: none.
   int violated_constraint() const { return violated_constraint_; }
-  // Whether the contact point of a rim runs so far around the rim in the step that its gap at the start does not
-  // predict the one at the end.
+  // Whether a contact point runs so far in the step that its gap and its row at the start do not predict those at the
+  // end: around a rim, or along two lines that are nearly parallel.
   bool rim_turns_far() const;
+  bool runs_along_lines() const;
   // The step just solved, before commit(); what ended it is the caller's.
   ContactStepRecord record() const;
   // Accepts the step: stick and slip, anchors, forces and tangents become those of its end.
@@ -136,8 +137,9 @@ class ContactStep final : public Stepper {
     VecX q, phi, rate;  // residuals of the constraints, and their partial derivatives d phi/dt
     std::vector<Contact> at;
     std::vector<Vec3> t1;
-    std::vector<Vec3> side;  // of rims: direction from the centre to the contact point, world
-    MatX W;                  // nv x rows
+    std::vector<Vec3> side;              // of rims: direction from the centre to the contact point, world
+    std::vector<Eigen::Vector2d> along;  // see Manifolds::place_along
+    MatX W;                              // nv x rows
   };
 
   // A degree of freedom with joint friction.
@@ -189,6 +191,7 @@ class ContactStep final : public Stepper {
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
                   bool regularize, const Agreement& agreement);
   double contact_matrix(int row, int column) const;
+  void set_place(const ContactPoint& point, std::size_t i, Node& node) const;
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1);
   void evaluate(const PersistentContact& persistent, Contact& contact);

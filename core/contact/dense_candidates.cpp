@@ -77,7 +77,22 @@ void DenseCandidates::add_points(const Near& near, const std::vector<DenseImpuls
     guards_->manifolds().find(near.guard, guards_->placements(), near.witness0, margin, points_);
   }
   for (const ContactPoint& point : points_) add(point, frozen(point, near.witness0), near, impulses);
+  if (!scene_->is_pair(near.guard)) return;
   add_rims(near, impulses);
+  add_ends(near, impulses);
+}
+
+// Lines that are nearly parallel may touch at either end within the step.
+void DenseCandidates::add_ends(const Near& near, const std::vector<DenseImpulse>& impulses) {
+  points_.clear();
+  guards_->manifolds().find_ends(near.guard, guards_->placements(), std::max(near.gap0, 0.0) + near.reach, points_);
+  for (const ContactPoint& end : points_) {
+    const bool known = std::any_of(contacts_.begin(), contacts_.end(), [&](const DenseContact& c) {
+      return c.point.guard == near.guard && c.law.kind == PointKind::kEnd && c.law.on_b == end.on_b &&
+             (c.law.center_B - end.center_B).squaredNorm() < kSamePoint * kSamePoint;
+    });
+    if (!known) add(end, end, near, impulses);
+  }
 }
 
 // A rim that is nearly flat may touch all around within the step: material points at its quarters join the lowest one.
@@ -164,6 +179,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   points_.clear();
   laws_.clear();
   gap_ = gap_noise_ = excess_ = 0.0;
+  deepest_ = -1;
   bool limit_overlaps = false;
   guards_->place(q1);
   for (const Near& near : near_) {
@@ -171,7 +187,10 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
     const double gap = guards_->evaluate_witness(near.guard, witness);
     const bool pair = scene_->is_pair(near.guard);
     const double noise = pair ? kGapPromised : kLimitPromised;
-    gap_ = std::min(gap_, gap);
+    if (gap < gap_) {
+      gap_ = gap;
+      deepest_ = near.guard;
+    }
     const double excess = gap - near.allowed;
     if (excess < excess_) {
       excess_ = excess;
@@ -189,7 +208,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   guards_->place(q0_);
   for (std::size_t k : run_off_) {
     DenseContact& c = contacts_[k];
-    set_law(c, guards_->manifolds().frozen(c.law, guards_->placements(), c.at0, kAnyTurn), near_of(c.point.guard));
+    set_law(c, guards_->manifolds().frozen(c.law, guards_->placements(), c.at0, kAnyTurn, 0.0), near_of(c.point.guard));
     added = true;
   }
   for (std::size_t k = 0; k < points_.size(); ++k)

@@ -57,6 +57,8 @@ class DenseCandidates {
   void evaluate(const ContactPoint& law, Contact& contact) { evaluate(law, nullptr, contact); }
   // Least gap at the last end looked at, at most 0 [m].
   double gap() const { return gap_; }
+  // The guard of that gap, -1: nothing overlaps there.
+  int deepest() const { return deepest_; }
   // How what overlaps may be left changes with the length of the step [m/s].
   double allowed_rate() const;
   // Whether no gap there is below what is allowed by more than the error of its distance.
@@ -74,10 +76,12 @@ class DenseCandidates {
   double allowed(double gap0) const;
   bool is_near(int guard, Near& near);
   void add_points(const Near& near, const std::vector<DenseImpulse>& impulses);
+  void add_ends(const Near& near, const std::vector<DenseImpulse>& impulses);
   void add_rims(const Near& near, const std::vector<DenseImpulse>& impulses);
   void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
   ContactPoint frozen(const ContactPoint& point, const Contact& witness) const {
-    return guards_->manifolds().frozen(point, guards_->placements(), witness, guards_->turn(point.guard));
+    return guards_->manifolds().frozen(point, guards_->placements(), witness, guards_->turn(point.guard),
+                                       scene_->tree.gravity.norm() * h_ * h_);
   }
   bool add(const ContactPoint& point, const ContactPoint& law, const Near& near,
            const std::vector<DenseImpulse>& impulses, bool joined = false);
@@ -95,6 +99,7 @@ class DenseCandidates {
   std::vector<std::size_t> run_off_;
   VecX q0_;
   double h_ = 0.0, share_ = 1.0, gap_ = 0.0, gap_noise_ = 0.0;
+  int deepest_ = -1;
   double excess_ = 0.0;  // of the gap that is furthest below what is allowed
 };
 

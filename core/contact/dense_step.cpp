@@ -25,7 +25,9 @@ constexpr double kFastFall = 4.0;          // contacts that close faster than th
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
-constexpr double kEnergyShare = 1e-8;      // of the kinetic energy: smaller gains are not worth a shorter step
+constexpr double kBothEnds = 2.0;          // the force of a contact acts half at the start of the step, half at its end
+constexpr double kLifted = 1e-7;  // of the kinetic energy: what an impact moves gaps by within their rounding is less
+constexpr double kEnergyShare = 1e-8;  // of the kinetic energy: smaller gains are not worth a shorter step
 
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
 // inside of it; where none do the sweeps and Newton's method reach 1e-8.
@@ -376,14 +378,19 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
   bool impact = false;
   const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
   for (const DenseContact& c : contacts()) {
-    lifts += c.position.norm() * (gap_solved_ + std::clamp(-c.at0.gap, 0.0, DenseCandidates::kGapPromised));
+    lifts += kBothEnds * c.position.norm() * (gap_solved_ + std::clamp(-c.at0.gap, 0.0, DenseCandidates::kGapPromised));
     impact |= c.position[0] > 0.0 && c.closing < -fast;
   }
   const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);
   const double curved = impact || memory_.change.size() != v_.size()
                             ? 0.0
                             : curvature_error(rows_.problem(), 2.0 * (v_ - v0_), memory_.change * (h_ / memory_.h));
-  return lifts / h_ + std::min(curved, smooth) + kEnergyShare * before.kinetic +
+  // As far as the impulses are those of the forces so far and of the motion.
+  double forces = 0.0;
+  for (const Joint& joint : scene_->tree.joints) forces += joint.mass * scene_->tree.gravity.norm();
+  for (const DenseImpulse& last : memory_.impulses) forces += last.position_force.norm() + last.velocity_force.norm();
+  const double lifted = kBothEnds * forces * (gap_solved_ + DenseCandidates::kGapPromised) + kLifted * before.kinetic;
+  return std::min(lifts / h_, lifted) + std::min(curved, smooth) + kEnergyShare * before.kinetic +
          turning_error(scene_->tree, v_, h_, before, free, middle);
 }
 

@@ -75,6 +75,8 @@ class DenseStep {
   // Whether gaps and energy are within what is promised.
   double allowed_rate() const { return candidates_.allowed_rate(); }
   bool keeps_promises() const { return candidates_.keeps_gaps() && report_.energy_rise <= 0.0; }
+  // The pair or limit with the least gap at the end, -1: nothing overlaps.
+  int deepest() const { return candidates_.deepest(); }
   double h() const { return h_; }
   double joint_friction_loss() const { return joint_friction_loss_; }
   const StepEquations& integrator() const { return integrator_; }

@@ -8,8 +8,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kClosed = 1e-12;    // [m] below this gap a contact without load takes part in the velocity impulse
-constexpr double kSwing = 0.95;      // cosine of the angle by which the contact point of a rim may run around in a step
+constexpr double kClosed = 1e-12;  // [m] below this gap a contact without load takes part in the velocity impulse
+constexpr double kRun = 0.1;     // of the shorter line: how far the one point of two lines may run along them in a step
+constexpr double kSwing = 0.95;  // cosine of the angle by which the contact point of a rim may run around in a step
 constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 
@@ -179,6 +180,7 @@ void ContactStep::set_outcomes() {
     out.position_impulse = Vec3(lambda_[r], 0, 0);
     out.velocity_impulse = Vec3(lambda_end_[r], 0, 0);
     out.slip_W.setZero();
+    out.slip_before_W.setZero();
     out.slips = false;
     if (persistent.mu > 0.0) {
       out.position_impulse.tail<2>() = lambda_.segment<2>(r + 1);
@@ -188,6 +190,8 @@ void ContactStep::set_outcomes() {
       out.paradox = paradox_[i];
     }
     const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
+    if (persistent.mu > 0.0 && !persistent.sticks)
+      out.slip_before_W = node0_.W.col(r + 1).dot(v_start_) * s1 + node0_.W.col(r + 2).dot(v_start_) * s2;
     out.position_impulse_W =
         out.position_impulse[0] * c0.normal + out.position_impulse[1] * s1 + out.position_impulse[2] * s2;
     out.velocity_impulse_W =
@@ -268,6 +272,12 @@ void ContactStep::recall(const Memory& memory) {
 bool ContactStep::rim_turns_far() const {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     if (contacts_[i].point.kind == PointKind::kRim && node0_.side[i].dot(node1_.side[i]) < kSwing) return true;
+  return false;
+}
+
+bool ContactStep::runs_along_lines() const {
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    if (manifolds_->run(contacts_[i].point, node0_.along[i], node1_.along[i]) > kRun) return true;
   return false;
 }
 

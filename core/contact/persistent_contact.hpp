@@ -25,13 +25,14 @@ struct ContactOutcome {
   Vec3 t1, t2;                                  // tangents there, world
   Vec3 position_impulse_W, velocity_impulse_W;  // on geometry b [N s], world
   Vec3 position_impulse, velocity_impulse;      // as (n, t1, t2) [N s]
-  Vec3 slip_W;                                  // relative velocity of the points in the tangent plane at the end [m/s]
-  double w_n = 0;                               // normal speed at the end [m/s]
-  bool slipped = false;                         // during the step
-  bool slips = false;                           // at its end
-  bool turned = false;                          // the slip of the step is opposite to that at its start
-  double reversed = 0;  // w_t . d at the end of a contact that slipped along d if its friction had gone on; else 0
-  bool active = false;  // took part in the velocity impulse
+  // Relative velocity of the points in the tangent plane at the end, and at the start [m/s].
+  Vec3 slip_W, slip_before_W;
+  double w_n = 0;        // normal speed at the end [m/s]
+  bool slipped = false;  // during the step
+  bool slips = false;    // at its end
+  bool turned = false;   // the slip of the step is opposite to that at its start
+  double reversed = 0;   // w_t . d at the end of a contact that slipped along d if its friction had gone on; else 0
+  bool active = false;   // took part in the velocity impulse
   // Whether its velocity impulse keeps the direction of the slip of the step; whether it would have reversed the slip
   // beside others that all keep theirs.
   bool keeps = false, freed = false;

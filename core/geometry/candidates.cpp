@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "geometry/line_contact.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -141,27 +143,22 @@ void edges_near(const ShapeFeatures& o, int face, int vertex, std::vector<int>& 
   if (vertex >= 0)
     for (int e : o.vertex_edges[vertex])
       if (std::find(list.begin(), list.begin() + ring, e) == list.begin() + ring) list.push_back(e);
-  if (o.vertices.empty() && o.edges.size() == 1) list.push_back(0);
-}
-
-// How far n lies outside of the arc of normals of an edge [rad], both in one frame and n orthogonal to the edge.
-double outside_arc(const ShapeFeatures& o, const ShapeFeatures::Edge& e, const Vec3& n) {
-  if (e.left < 0 || e.right < 0) return -1.0;
-  const Vec3 &l = o.faces[e.left].normal, &r = o.faces[e.right].normal;
-  if (n.dot(l + r) < 0.0) return 1.0;
-  return -std::min(l.cross(n).dot(e.direction), n.cross(r).dot(e.direction));
+  if (o.edges.size() == 1 && list.empty()) list.push_back(0);
 }
 
 void edges_across(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {
   edges.lines_b.clear();
   for (int j : edges.b) edges.lines_b.push_back(line_of(*v.b, v.pose_b, j));
+  // Of two capsules the nearest points are known without their crossing.
+  const bool cross = !v.a->faces.empty() || !v.b->faces.empty();
   Crossing c;
   for (int i : edges.a) {
     const Line a = line_of(*v.a, v.pose_a, i);
     for (std::size_t k = 0; k < edges.b.size(); ++k) {
       const Line& b = edges.lines_b[k];
       const int j = edges.b[k];
-      if (!cross_lines(a, b, sides.n_W, kBorder, c)) continue;
+      list_line_ends(v, i, a, j, b, upcoming, sink);
+      if (!cross || are_flat(a, b) || !cross_lines(a, b, sides.n_W, kBorder, c)) continue;
       const bool over = c.beyond <= kBorder;
       if (!upcoming && !over) continue;
       // Beyond the flat ends of a lying cylinder the height of its axis has no meaning.
@@ -175,26 +172,6 @@ void edges_across(const PairView& v, const Sides& sides, bool upcoming, EdgeList
 }
 
 }  // namespace
-
-int feature_rim(std::int64_t n) {
-  switch (feature_kind(n)) {
-    case Feature::kRimA:
-    case Feature::kRimB:
-    case Feature::kRimSideA:
-    case Feature::kRimSideB:
-      return feature_i(n);
-    case Feature::kRimPointA:
-    case Feature::kRimPointB:
-      return feature_i(n) / kRimPoints;
-    default:
-      return -1;
-  }
-}
-
-Pose pose_of(int body, const Placements& at) {
-  if (body < 0) return {Mat3::Identity(), Vec3::Zero()};
-  return {at.R_W[body], at.p_W[body]};
-}
 
 Vec3 lowest_of_rim(const Vec3& center, const Vec3& axis, double radius, const Vec3& n) {
   Vec3 down = n.dot(axis) * axis - n;
@@ -214,11 +191,6 @@ Vec3 rim_point(const ShapeFeatures::Rim& rim, int k) {
   return rim.center + rim.radius * (x[quarter] * rim.zero + y[quarter] * rim.quarter);
 }
 
-Line line_of(const ShapeFeatures& o, const Pose& pose, int edge) {
-  const ShapeFeatures::Edge& e = o.edges[edge];
-  return {pose.point(e.start), pose.R * e.direction, e.length, o.radius + e.radius};
-}
-
 bool cross_lines(const Line& a, const Line& b, const Vec3& n, double border, Crossing& c) {
   const Vec3 cross = a.direction.cross(b.direction);
   const double in_view = n.dot(cross);
@@ -235,11 +207,6 @@ bool cross_lines(const Line& a, const Line& b, const Vec3& n, double border, Cro
   c.point_b = b.start + t * b.direction;
   c.gap = d.dot(c.normal) - a.radius - b.radius;
   return true;
-}
-
-double outside_cone(const PairView& v, int edge_a, int edge_b, const Vec3& normal_W) {
-  return std::max(outside_arc(*v.a, v.a->edges[edge_a], v.pose_a.R.transpose() * normal_W),
-                  outside_arc(*v.b, v.b->edges[edge_b], -(v.pose_b.R.transpose() * normal_W)));
 }
 
 void list_candidates(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {

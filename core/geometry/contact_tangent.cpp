@@ -46,11 +46,19 @@ bool ContactTangent::take_point(const ContactPoint& p) {
   const Placements& at = twists_.placements();
   const Pose own = pose_of(p.point_body, at), other = pose_of(p.plane_body, at);
   const int side = p.on_b ? 1 : 0;
-  const Vec3 n = contact_.normal, x = side == 1 ? contact_.point_b : contact_.point_a;
+  const Vec3 n = contact_.normal, point = side == 1 ? contact_.point_b : contact_.point_a;
   const Vec3 across = side == 1 ? contact_.point_a : contact_.point_b;
   if (p.kind == PointKind::kEdge) {
     surface_[0] = ContactSurface::line("edge", across - p.offset * n, other.R * p.normal_B, p.offset);
-    surface_[1] = ContactSurface::line("edge", x + p.radius * n, own.R * p.axis_B, p.radius);
+    surface_[1] = ContactSurface::line("edge", point + p.radius * n, own.R * p.axis_B, p.radius);
+    return set_system();
+  }
+  if (p.kind == PointKind::kEnd || p.kind == PointKind::kRimLine) {
+    surface_[1 - side] =
+        ContactSurface::line("side", across - p.offset * outward(1 - side), other.R * p.normal_B, p.offset);
+    surface_[side] = p.kind == PointKind::kEnd ? ContactSurface::point("end of a line", own.point(p.center_B), p.radius)
+                                               : ContactSurface::rim(own.point(p.center_B), own.R * p.axis_B,
+                                                                     p.rim_radius, outward(side), p.radius);
     return set_system();
   }
   surface_[1 - side] = ContactSurface::plane("face", across, other.R * p.normal_B, 0.0);

@@ -34,6 +34,8 @@ Guards::Guards(const Scene& scene, int contact_points)
       expected_(make_reach()),
       odometer_(scene.geometries.size()),
       interval_start_(scene.geometries.size()),
+      gap_(count_),
+      gap_for_(count_, -1),
       marks_(count_, -1.0),
       broad_phase_(scene),
       span_(scene.tree.nv) {}
@@ -206,7 +208,19 @@ double Guards::distance_bound(int guard, double enough) {
   return std::max(distance, evaluate_witness(guard, contact));
 }
 
+double Guards::gap(int guard) {
+  if (gap_for_[guard] == configuration_) return gap_[guard];
+  Contact contact;
+  return evaluate_witness(guard, contact);
+}
+
 double Guards::evaluate_witness(int guard, Contact& contact) {
+  gap_[guard] = find_nearest(guard, contact);
+  gap_for_[guard] = configuration_;
+  return gap_[guard];
+}
+
+double Guards::find_nearest(int guard, Contact& contact) {
   ++counters.evaluated;
   if (guard >= pairs_) {
     const JointLimit& limit = scene_->tree.limits[guard - pairs_];
@@ -216,8 +230,8 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   place_pair(guard);
-  // Coal inflates cylinders by 1e-10 of their size where they stand or lie along the normal.
-  if (a.unbounded != b.unbounded && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
+  const bool without_coal = a.unbounded != b.unbounded || manifolds_.has_capsules(guard);
+  if (without_coal && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
   const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
   distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
   contact.body_a = a.body;

@@ -14,6 +14,7 @@
 // first, then joint limits.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "geometry/broad_phase.hpp"
@@ -59,6 +60,11 @@ class Guards {
   const std::vector<BroadPhase::NearPair>& near_pairs();
   // The gap of the whole guard, with or without persistent contacts.
   double evaluate_witness(int guard, Contact& contact);
+  // The same where only the gap is wanted; it is known if the pair was evaluated last where the bodies are placed.
+  double gap(int guard);
+  // What gaps of pairs are kept to at every node [m], where the noise of their distances is less.
+  static constexpr double kPromised = 1e-9;
+  double promised(int guard) const { return std::max(kPromised, kNoises * depth_tolerance(guard)); }
   // A lower bound on the distance of a pair where the bodies are placed: `enough` or more, or not much less than the
   // distance.
   double distance_bound(int guard, double enough);
@@ -183,6 +189,7 @@ class Guards {
   void place_body(int body);
   void place_pair(int guard);
   void place_bodies();
+  double find_nearest(int guard, Contact& contact);
   PosedShape posed(const Pair& pair, int geometry) const;
   DistanceBounds::Bounds known_bounds(int guard);
   double limit_gap(int guard, const VecCRef& q) const;
@@ -205,14 +212,17 @@ class Guards {
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
   DistanceBounds distance_bounds_;
-  std::vector<double> linear_;          // per body: bound on its origin's displacement
-  Reach motion_, doubt_, expected_;     // expected: in a reference step of the span
-  std::vector<double> odometer_;        // per geometry
-  std::vector<double> interval_start_;  // as it was where the interval began, kept where it is about to change
-  double interval_used_ = 0.0;          // of the span, where the interval began
-  bool any_look_ = false;               // whether a step of the interval looked at guards
-  long spans_ = 0;                      // how many spans have begun
-  std::vector<double> marks_;           // per guard: odometer sum up to which it may be skipped
+  std::vector<double> linear_;            // per body: bound on its origin's displacement
+  Reach motion_, doubt_, expected_;       // expected: in a reference step of the span
+  std::vector<double> odometer_;          // per geometry
+  std::vector<double> interval_start_;    // as it was where the interval began, kept where it is about to change
+  double interval_used_ = 0.0;            // of the span, where the interval began
+  bool any_look_ = false;                 // whether a step of the interval looked at guards
+  long spans_ = 0;                        // how many spans have begun
+  static constexpr double kNoises = 4.0;  // tolerances of depth
+  std::vector<double> gap_;               // of each guard at its last evaluation,
+  std::vector<long> gap_for_;             // and the configuration of that
+  std::vector<double> marks_;             // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
   bool span_ended_ = false;  // whether the step whose motion is bounded follows one of a span

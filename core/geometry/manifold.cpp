@@ -1,9 +1,12 @@
 #include "geometry/manifold.hpp"
 
+#include <coal/shape/geometric_shapes.h>
+
 #include <algorithm>
 #include <array>
 #include <limits>
 
+#include "geometry/line_contact.hpp"
 #include "geometry/nearest_features.hpp"
 
 namespace contactvi {
@@ -63,6 +66,9 @@ constexpr double kStay = 2.0;
 // than the noise of coal's distances and the gaps of contacts that persist.
 constexpr double kOverlap = 2.0, kSameOverlap = 1e-7;
 
+// Of the shorter of two axes: a point that may run along them by more in a step is taken for one of the bodies.
+constexpr double kRuns = 0.1;
+
 // The shapes and features of a pair that a feature number names: `other` lies over face `face` of `plane`.
 struct Parts {
   Feature kind;
@@ -83,9 +89,34 @@ Parts parts_of(const PairView& v, std::int64_t n) {
   p.other_pose = p.on_b ? &v.pose_b : &v.pose_a;
   p.i = feature_i(n);
   const bool is_side = p.kind == Feature::kRimSideA || p.kind == Feature::kRimSideB;
-  p.face = is_side ? p.plane->ring_face[feature_j(n) / 2] : feature_j(n);
+  p.face = is_side ? p.plane->ring_face[feature_j(n) / 2] : is_end(p.kind) || is_rim_line(p.kind) ? -1 : feature_j(n);
   p.rim = feature_rim(n);
   return p;
+}
+
+// The edges of a and of b that a feature of two edges names.
+std::array<int, 2> edges_of(std::int64_t n) {
+  if (feature_kind(n) == Feature::kEdges) return {feature_i(n), feature_j(n)};
+  const int edge = is_end(feature_kind(n)) ? feature_i(n) / 2 : 0;  // a cylinder has one edge, its axis
+  if (feature_on_b(n)) return {feature_j(n), edge};
+  return {edge, feature_j(n)};
+}
+
+class Lists final : public CandidateSink {
+ public:
+  explicit Lists(std::int64_t feature) : feature_(feature) { limit = kInfinity; }
+  void add(const Candidate& c) override { found |= c.feature == feature_; }
+  bool found = false;
+
+ private:
+  std::int64_t feature_;
+};
+
+bool is_over_line(const PairView& v, std::int64_t n) {
+  const auto [i, j] = edges_of(n);
+  Lists sink(n);
+  list_line_ends(v, i, line_of(*v.a, v.pose_a, i), j, line_of(*v.b, v.pose_b, j), false, sink);
+  return sink.found;
 }
 
 // The face of `faces` whose normal is closest to n; -1 if no normal is along n.
@@ -153,6 +184,31 @@ void edge_gap(const ContactPoint& p, const Placements& at, Contact& contact) {
   contact.point_b = pb + d.cross(ea).dot(cross) / square * eb - p.radius * contact.normal;
   contact.body_a = p.plane_body;
   contact.body_b = p.point_body;
+}
+
+void end_gap(const ContactPoint& p, const Placements& at, Contact& contact) {
+  const Vec3 x = point_W(at, p.point_body, p.center_B), d = turned_W(at, p.plane_body, p.normal_B);
+  const Vec3 from = x - point_W(at, p.plane_body, p.origin_B);
+  const Vec3 apart = from - from.dot(d) * d;
+  const double distance = apart.norm();
+  const Vec3 n = distance > 0.0 ? Vec3(apart / distance) : any_tangent(d);
+  set_contact(p, n, x, distance - p.radius - p.offset, contact);
+}
+
+// The core's point of a rim that is nearest to the line; apart: from the line to it.
+Vec3 rim_line_point(const ContactPoint& p, const Placements& at, Vec3& apart) {
+  Vec3 x = point_W(at, p.point_body, p.far_B);
+  apart = nearest_on_rim(point_W(at, p.point_body, p.center_B), turned_W(at, p.point_body, p.axis_B), p.rim_radius,
+                         point_W(at, p.plane_body, p.origin_B), turned_W(at, p.plane_body, p.normal_B), x);
+  return x;
+}
+
+void rim_line_gap(const ContactPoint& p, const Placements& at, Contact& contact) {
+  Vec3 apart;
+  const Vec3 x = rim_line_point(p, at, apart);
+  const double distance = apart.norm();
+  const Vec3 n = distance > 0.0 ? Vec3(apart / distance) : turned_W(at, p.point_body, p.axis_B);
+  set_contact(p, n, x, distance - p.radius - p.offset, contact);
 }
 
 // Makes a point of b over a plane of a of the point that has this contact.
@@ -228,7 +284,9 @@ class Manifolds::Least final : public CandidateSink {
   bool supported_;  // at enough points to fix the faces to each other
 };
 
-Manifolds::Manifolds(const Scene& scene, int max_points) : scene_(&scene), max_points_(std::max(1, max_points)) {}
+Manifolds::Manifolds(const Scene& scene, int max_points) : scene_(&scene), max_points_(std::max(1, max_points)) {
+  for (const Geometry& g : scene.geometries) is_capsule_.push_back(g.sharp->getNodeType() == coal::GEOM_CAPSULE);
+}
 
 const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
   return shape_features_of(scene_->geometries[geometry], scene_->pairs[pair].rounded);
@@ -239,8 +297,7 @@ bool Manifolds::is_single(int pair) const {
   const ShapeFeatures &a = features(pair, scene_->pairs[pair].a), &b = features(pair, scene_->pairs[pair].b);
   auto is_empty = [](const ShapeFeatures& o) { return o.vertices.empty() && o.faces.empty(); };
   auto is_point = [](const ShapeFeatures& o) { return o.vertices.size() == 1; };
-  return is_empty(a) || is_empty(b) || (a.faces.empty() && b.faces.empty()) || (is_point(a) && !b.is_unbounded()) ||
-         (is_point(b) && !a.is_unbounded());
+  return is_empty(a) || is_empty(b) || (is_point(a) && !b.is_unbounded()) || (is_point(b) && !a.is_unbounded());
 }
 
 double Manifolds::noise(int pair) const {
@@ -341,9 +398,28 @@ double Manifolds::include_witness(int pair, const Placements& at, const ContactP
   return deeper + kBelow * noise;
 }
 
+bool Manifolds::has_lines(int pair) const {
+  return features(pair, scene_->pairs[pair].a).edges.size() == 1 &&
+         features(pair, scene_->pairs[pair].b).edges.size() == 1;
+}
+
 bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
   const Pair& p = scene_->pairs[pair];
-  if (is_single(pair) || !(features(pair, p.a).is_unbounded() || features(pair, p.b).is_unbounded())) return false;
+  const ShapeFeatures &a = features(pair, p.a), &b = features(pair, p.b);
+  if (has_capsules(pair)) {
+    const PairView v = view(pair, at);
+    nearest_on_lines(line_of(a, v.pose_a, 0), line_of(b, v.pose_b, 0), contact.point_a, contact.point_b);
+    const Vec3 apart = contact.point_b - contact.point_a;
+    const double distance = apart.norm();
+    contact.normal = distance > 0.0 ? Vec3(apart / distance) : any_tangent(v.pose_a.R * a.edges[0].direction);
+    contact.point_a += a.radius * contact.normal;
+    contact.point_b -= b.radius * contact.normal;
+    contact.gap = distance - a.radius - b.radius;
+    contact.body_a = v.body_a;
+    contact.body_b = v.body_b;
+    return true;
+  }
+  if (is_single(pair) || !(a.is_unbounded() || b.is_unbounded())) return false;
   next_gap(pair, at, nullptr, 0, Contact{}, contact);
   return true;
 }
@@ -354,6 +430,12 @@ bool Manifolds::refine(int pair, const Placements& at, Contact& contact) const {
 }
 
 // --- one contact point: from its feature to its data, its gap, and whether its feature still touches ---
+
+void set_rim(const ShapeFeatures::Rim& rim, ContactPoint& p) {
+  p.center_B = rim.center;
+  p.axis_B = rim.axis;
+  p.rim_radius = rim.radius;
+}
 
 ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const {
   ContactPoint p{};
@@ -378,11 +460,29 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
     return p;
   }
   const Parts parts = parts_of(v, c.feature);
-  const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
-  p.kind = PointKind::kVertex;
   p.on_b = parts.on_b;
   p.point_body = parts.on_b ? v.body_b : v.body_a;
   p.plane_body = parts.on_b ? v.body_a : v.body_b;
+  if (is_end(kind) || is_rim_line(kind)) {
+    const ShapeFeatures::Edge& over = parts.plane->edges[feature_j(c.feature)];
+    const int i = feature_i(c.feature);
+    p.kind = is_end(kind) ? PointKind::kEnd : PointKind::kRimLine;
+    p.radius = parts.other->radius;
+    p.origin_B = over.start;
+    p.normal_B = over.direction;
+    p.offset = parts.plane->radius + over.radius;
+    if (is_end(kind)) {
+      const ShapeFeatures::Edge& of = parts.other->edges[i / 2];
+      p.center_B = of.start + (i % 2 == 0 ? 0.0 : of.length) * of.direction;
+    } else {
+      set_rim(parts.other->rims[i / 2], p);
+      const Vec3 from = parts.other_pose->into(c.x_W) - p.center_B;
+      p.far_B = p.center_B + p.rim_radius * (from - from.dot(p.axis_B) * p.axis_B).normalized();
+    }
+    return p;
+  }
+  const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
+  p.kind = PointKind::kVertex;
   p.radius = parts.other->radius;
   p.normal_B = face.normal;
   p.offset = face.offset + parts.plane->radius;
@@ -391,9 +491,7 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
     const ShapeFeatures::Rim& rim = parts.other->rims[parts.rim];
     p.kind = PointKind::kRim;
     p.material = false;
-    p.center_B = rim.center;
-    p.axis_B = rim.axis;
-    p.rim_radius = rim.radius;
+    set_rim(rim, p);
     const Vec3 n = parts.other_pose->R.transpose() * (parts.plane_pose->R * face.normal);
     p.far_B = lowest_of_rim(rim.center, rim.axis, rim.radius, -n);
   } else if (kind == Feature::kRimPointA || kind == Feature::kRimPointB) {
@@ -407,7 +505,8 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
 }
 
 ContactPoint Manifolds::point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const {
-  return make_point(pair, view(pair, at), {feature, 0.0, Vec3::Zero()}, witness.normal);
+  const Candidate named{feature, 0.0, 0.5 * (witness.point_a + witness.point_b)};
+  return make_point(pair, view(pair, at), named, witness.normal);
 }
 
 void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contact& contact) const {
@@ -415,6 +514,10 @@ void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contac
     vertex_gap(point, point.center_B, at, contact);
   } else if (point.kind == PointKind::kRim) {
     rim_gap(point, at, contact);
+  } else if (point.kind == PointKind::kEnd) {
+    end_gap(point, at, contact);
+  } else if (point.kind == PointKind::kRimLine) {
+    rim_line_gap(point, at, contact);
   } else {
     edge_gap(point, at, contact);
   }
@@ -432,6 +535,7 @@ bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
     return cross_lines(line_of(*v.a, v.pose_a, i), line_of(*v.b, v.pose_b, j), contact.normal, border, c) &&
            c.beyond <= border && outside_cone(v, i, j, c.normal) <= kStay * kNormalCone;
   }
+  if (point.kind == PointKind::kEnd || point.kind == PointKind::kRimLine) return is_over_line(v, point.feature);
   const Parts parts = parts_of(v, point.feature);
   const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
   if (parts.rim >= 0) {
@@ -458,20 +562,64 @@ double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Co
 }
 
 void Manifolds::update_rim(ContactPoint& point, const Placements& at) const {
+  if (point.kind == PointKind::kRimLine) {
+    Vec3 apart;
+    point.far_B = point_B(at, point.point_body, rim_line_point(point, at, apart));
+  }
   if (point.kind != PointKind::kRim) return;
   const Vec3 n = turned_B(at, point.point_body, turned_W(at, point.plane_body, point.normal_B));
   point.far_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, -n);
 }
 
-ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness,
-                               double turn) const {
+void Manifolds::find_ends(int pair, const Placements& at, double margin, std::vector<ContactPoint>& points) {
+  if (!has_lines(pair)) return;
+  const PairView v = view(pair, at);
+  found_.clear();
+  Collect sink(margin, found_);
+  list_line_ends(v, 0, line_of(*v.a, v.pose_a, 0), 0, line_of(*v.b, v.pose_b, 0), true, sink);
+  for (const Candidate& c : found_) points.push_back(make_point(pair, v, c, Vec3::Zero()));
+}
+
+// Where the one point of two axes lies between their ends and may run along them as the bodies turn, the point of b over
+// the axis of a.
+ContactPoint Manifolds::frozen_on_lines(const ContactPoint& point, const Placements& at, const Contact& contact,
+                                        double turn, double moved) const {
+  const PairView v = view(point.guard, at);
+  const Line a = line_of(*v.a, v.pose_a, 0), b = line_of(*v.b, v.pose_b, 0);
+  const double s = (contact.point_a - a.start).dot(a.direction), t = (contact.point_b - b.start).dot(b.direction);
+  const double square = a.direction.cross(b.direction).squaredNorm(), radii = a.radius + b.radius;
+  const bool between = s > kBorder && s < a.length - kBorder && t > kBorder && t < b.length - kBorder;
+  const double length = std::min(a.length, b.length);
+  if (!between || (turn + moved / length) * radii <= kRuns * length * square) return point;
+  ContactPoint p = point;
+  p.kind = PointKind::kEnd;
+  p.on_b = true;
+  p.point_body = v.body_b;
+  p.plane_body = v.body_a;
+  p.center_B = v.pose_b.into(b.start + t * b.direction);
+  p.radius = b.radius;
+  p.origin_B = v.a->edges[0].start;
+  p.normal_B = v.a->edges[0].direction;
+  p.offset = a.radius;
+  return p;
+}
+
+ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn,
+                               double moved) const {
   ContactPoint p = point;
   if (point.kind == PointKind::kRim) {
     const Vec3 n = turned_B(at, point.point_body, turned_W(at, point.plane_body, point.normal_B));
     p.kind = PointKind::kVertex;
     p.center_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, n);
+  } else if (point.kind == PointKind::kWitness && has_lines(point.guard)) {
+    p = frozen_on_lines(point, at, witness, turn, moved);
+    if (p.kind == PointKind::kWitness && !has_capsules(point.guard)) make_material(p, at, witness);
   } else if (point.kind == PointKind::kWitness && !is_single(point.guard)) {
     make_material(p, at, witness);
+  } else if (point.kind == PointKind::kEdge && has_lines(point.guard)) {
+    Contact crossing;
+    edge_gap(point, at, crossing);
+    p = frozen_on_lines(point, at, crossing, turn, moved);
   } else if (point.kind == PointKind::kEdge) {
     const Vec3 a = turned_W(at, point.plane_body, point.normal_B), b = turned_W(at, point.point_body, point.axis_B);
     if (a.cross(b).norm() > turn) return p;
@@ -480,6 +628,24 @@ ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, 
     make_material(p, at, crossing);
   }
   return p;
+}
+
+Eigen::Vector2d Manifolds::place_along(const ContactPoint& point, const Placements& at, const Contact& contact) const {
+  const bool crossing = point.kind == PointKind::kEdge;
+  if (!crossing && !(point.kind == PointKind::kWitness && has_lines(point.guard))) return Eigen::Vector2d::Zero();
+  const PairView v = view(point.guard, at);
+  const auto [i, j] = crossing ? edges_of(point.feature) : std::array<int, 2>{0, 0};
+  const ShapeFeatures::Edge &a = v.a->edges[i], &b = v.b->edges[j];
+  return {(v.pose_a.into(contact.point_a) - a.start).dot(a.direction),
+          (v.pose_b.into(contact.point_b) - b.start).dot(b.direction)};
+}
+
+double Manifolds::run(const ContactPoint& point, const Eigen::Vector2d& from, const Eigen::Vector2d& to) const {
+  const double least = (to - from).cwiseAbs().minCoeff();
+  if (least == 0.0) return 0.0;
+  const auto [i, j] = point.kind == PointKind::kEdge ? edges_of(point.feature) : std::array<int, 2>{0, 0};
+  const Pair& pair = scene_->pairs[point.guard];
+  return least / std::min(features(point.guard, pair.a).edges[i].length, features(point.guard, pair.b).edges[j].length);
 }
 
 Vec3 Manifolds::side_of_rim(const ContactPoint& point, const Placements& at) {
@@ -493,11 +659,13 @@ Sides Manifolds::sides_of_point(const PairView& v, const ContactPoint& point, co
   evaluate(point, at, contact);
   Sides s;
   s.n_W = contact.normal;
-  if (point.kind == PointKind::kEdge) {
-    const ShapeFeatures::Edge& a = v.a->edges[feature_i(point.feature)];
-    const ShapeFeatures::Edge& b = v.b->edges[feature_j(point.feature)];
+  if (point.kind == PointKind::kEdge || point.kind == PointKind::kEnd || point.kind == PointKind::kRimLine) {
+    const auto [i, j] = edges_of(point.feature);
+    const ShapeFeatures::Edge &a = v.a->edges[i], &b = v.b->edges[j];
     s.a = most_facing(*v.a, v.pose_a, s.n_W, std::array<int, 2>{a.left, a.right});
     s.b = most_facing(*v.b, v.pose_b, -s.n_W, std::array<int, 2>{b.left, b.right});
+    // The end of a cylinder has the number of its rim.
+    if (point.kind == PointKind::kRimLine) (point.on_b ? s.b : s.a) = feature_i(point.feature) / 2;
     return s;
   }
   const Parts parts = parts_of(v, point.feature);

@@ -7,7 +7,7 @@
 //   halfspace     -           vertices          rims (1)           2 ends         1 vertex          witness
 //   box, convex   vertices    polytopes (2)     rims (1) and (2)   polytopes (2)  witness           witness
 //   cylinder      rims (1)    rims (1) and (2)  rims (1) and (2)   polytopes (2)  witness           witness
-//   capsule       2 ends      polytopes (2)     polytopes (2)      witness        witness           witness
+//   capsule       2 ends      polytopes (2)     polytopes (2)      lines (3)      witness           witness
 //   sphere        1 vertex    witness           witness            witness        witness           witness
 //   ellipsoid     witness     witness           witness            witness        witness           witness
 //
@@ -17,8 +17,11 @@
 // (2) Vertices of either body over a face of the other (kVertex), and crossings of an edge of one with an edge of the
 //     other (kEdge), on the flat sides that face each other where the pair is nearest. The axis of a lying capsule or
 //     cylinder, swept by its radius, is one more edge. Steeply inclined pairs have one such point, which is exact.
+// (3) Lines that lie along each other, edges or axes swept by a radius, touch at both ends of the segment that they have
+//     in common, ends of lines (kEnd) or rims (kRimLine); so do they in all pairs of polytopes, cylinders and capsules
+//     (line_contact.hpp).
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
-//     of their own: vertex against edge or vertex of rounded shapes, rim against edge, parallel capsules.
+//     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two capsules.
 //
 // The gap of a vertex is its distance from the face that it lies over, not from a common plane: when a body tips, one
 // or two points keep a gap of zero, and the gaps of the others grow.
@@ -33,7 +36,7 @@
 
 namespace contactvi {
 
-enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge };
+enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge, kEnd, kRimLine };
 
 struct ContactPoint {
   int guard;
@@ -56,6 +59,8 @@ struct ContactPoint {
   Vec3 far_B;  // the circle's point farthest from the plane when the point was found
   // kEdge: the line of b through center_B along axis_B, swept by `radius`, against the line of a through origin_B along
   // normal_B, swept by `offset`. Directed so that normal_B x axis_B points from a to b; on_b is true.
+  // kEnd: the point center_B of point_body, swept by `radius`, against the line of plane_body through origin_B along
+  // normal_B, swept by `offset`. kRimLine: the circle of kRim against such a line, where they are nearest near far_B.
   Vec3 origin_B;
 };
 
@@ -78,19 +83,31 @@ class Manifolds {
   // The point of a known feature (not one where a rim crosses a side), whether it touches or not.
   ContactPoint point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const;
 
-  // The nearest feature of a pair with a halfspace, without coal; false for other pairs and for ellipsoids. Coal makes
-  // cylinders 1e-10 of their size larger where they stand or lie exactly along the normal.
+  // The nearest feature of a pair with a halfspace and the nearest points of two capsules, without coal; false for other
+  // pairs and for ellipsoids. Coal makes cylinders 1e-10 of their size larger where they stand or lie exactly along the
+  // normal, and takes a wrong point of capsules at an angle below 1e-4 rad, up to 4e-7 m too far.
   bool nearest(int pair, const Placements& at, Contact& contact);
 
   // Coal's contact of the pair, to rounding (nearest_features.hpp). False where it stays as it is.
   bool refine(int pair, const Placements& at, Contact& contact) const;
 
-  // Sets the farthest point of a rim, which moves as the rim rolls, to that of these placements.
+  // Sets the farthest point of a rim, and the point where it is nearest to a line, which move as the rim rolls, to those
+  // of these placements.
   void update_rim(ContactPoint& point, const Placements& at) const;
+  // Appends the ends of two axes that lie over the other one with gap <= margin, also of those that would touch next.
+  void find_ends(int pair, const Placements& at, double margin, std::vector<ContactPoint>& points);
+
   // The point as one that moves with the bodies, where these are placed: the lowest point of a rim, the witness of
   // shapes with edges, and the crossing of edges that become parallel where the bodies turn by `turn` [rad], become a
-  // point of one body over a plane of the other. Other points stay what they are.
-  ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn) const;
+  // point of one body over a plane of the other; points of an axis that run along it, where the bodies turn like this or
+  // an end of the axis moves by `moved` [m], points over the other axis. Other points stay what they are.
+  ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn,
+                      double moved) const;
+  // Where the one point of two lines lies along that of a and that of b [m]: zero for other points. Lines that are nearly
+  // parallel turn little for it to run far.
+  Eigen::Vector2d place_along(const ContactPoint& point, const Placements& at, const Contact& contact) const;
+  // From one such place to another, as a part of the shorter line.
+  double run(const ContactPoint& point, const Eigen::Vector2d& from, const Eigen::Vector2d& to) const;
   // Direction from the centre of a rim to its contact point, unit, world frame; zero for other points.
   static Vec3 side_of_rim(const ContactPoint& point, const Placements& at);
 
@@ -110,6 +127,10 @@ class Manifolds {
   double next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                   const Contact& witness, Contact& contact);
 
+  // Whether both shapes are capsules or cylinders, whose axes are lines; whether both are capsules.
+  bool has_lines(int pair) const;
+  bool has_capsules(int pair) const { return is_capsule_[scene_->pairs[pair].a] && is_capsule_[scene_->pairs[pair].b]; }
+
   // Largest error of coal's distance of the pair, against that of its features [m].
   double noise(int pair) const;
 
@@ -121,12 +142,15 @@ class Manifolds {
   class Least;
   PairView view(int pair, const Placements& at) const;
   ContactPoint make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const;
+  ContactPoint frozen_on_lines(const ContactPoint& point, const Placements& at, const Contact& contact, double turn,
+                               double moved) const;
   static double far_of_rim(const ContactPoint& point, const Placements& at, Contact& contact);
   Sides sides_of_witness(const PairView& v, const Contact& witness) const;
   Sides sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const;
 
   const Scene* scene_;
   int max_points_;
+  std::vector<bool> is_capsule_;  // per geometry
   // Workspace, which grows to the largest manifold found.
   std::vector<Candidate> found_;
   Selection selection_;

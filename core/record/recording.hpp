@@ -39,14 +39,14 @@ enum class ContactMode : int { kSticks = 0, kSlips = 1, kFrictionless = 2, kImpa
 // geometry b.
 struct ContactRows {
   std::vector<double> t, h, gap;
-  std::vector<double> position, normal, position_impulse, velocity_impulse, slip;  // three numbers a row
+  std::vector<double> position, normal, position_impulse, velocity_impulse, slip, slip_before;  // three numbers a row
   std::vector<int> guard, mode, dense;  // mode: ContactMode; dense: 1 for a row of a dense step, else 0
   std::vector<std::int64_t> point;
   std::vector<long> step;
 
   void push(double time, double length, int guard_number, std::int64_t feature, ContactMode contact_mode,
             long step_number, const Vec3& x, const Vec3& n, const Vec3& first, const Vec3& second, double phi,
-            const Vec3& velocity) {
+            const Vec3& velocity, const Vec3& velocity_before = Vec3::Zero()) {
     t.push_back(time);
     h.push_back(length);
     guard.push_back(guard_number);
@@ -56,12 +56,14 @@ struct ContactRows {
     step.push_back(step_number);
     gap.push_back(phi);
     for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&position_impulse, &first),
-                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity)})
+                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity),
+                               std::pair(&slip_before, &velocity_before)})
       list->insert(list->end(), value->data(), value->data() + 3);
   }
   void cut(std::size_t rows) {
     for (auto* list : {&t, &h, &gap}) list->resize(rows);
-    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip}) list->resize(3 * rows);
+    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip, &slip_before})
+      list->resize(3 * rows);
     for (auto* list : {&guard, &mode, &dense}) list->resize(rows);
     point.resize(rows);
     step.resize(rows);
@@ -76,6 +78,7 @@ enum class Change : int {
   kSlip = 3,
   kBouncingEnds = 4,  // accumulating impacts became plastic; value: the time at which they would have ended [s]
   kInconsistent = 5,  // Painleve's paradox; value: A (ContactOutcome)
+  kOverlap = 6,       // a pair overlaps by more than is promised, and more than any before; value: its gap [m]
 };
 struct ChangeRecord {
   double time;

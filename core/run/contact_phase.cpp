@@ -14,15 +14,21 @@ namespace contactvi {
 
 namespace {
 constexpr double kShortestSwing =
-    1e-9;                              // of a contact step: they are halved down to this where a rim falls nearly flat
-constexpr double kCountedStep = 1e-3;  // [s]
-constexpr double kAtStart = 1e-10;     // of a contact step: an event that is earlier is at its start
+    1e-9;  // of a contact step: they are halved down to this where a rim falls nearly flat
+constexpr double kShortestRun = 1.0 / 64;  // the same, where a point runs along lines and dense steps can be taken
+constexpr double kCountedStep = 1e-3;      // [s]
+constexpr double kDeeper = 1.5;            // of the deepest overlap recorded: a deeper one is recorded
+constexpr double kAtStart = 1e-10;         // of a contact step: an event that is earlier is at its start
 constexpr double kEnergyRounding = 1e-12;  // of the energies
 }  // namespace
 
 bool Simulator::retry_contact_step(double h, double time) {
   if (user_function_failed(time)) return false;
-  const bool shortest = h < (contact_step_.rim_turns_far() ? kShortestSwing : StepControl::kShortest) * current_dt();
+  const bool runs = contact_step_.rim_turns_far() || contact_step_.runs_along_lines();
+  const bool impact = contact_step_.runs_along_lines() && allows_dense_steps() && h <= kShortestRun * contact_dt();
+  if (impact)
+    return end(StatusCode::kEventUnresolved, time, "a contact runs from end to end of two lines, which is an impact");
+  const bool shortest = h < (runs ? kShortestSwing : StepControl::kShortest) * current_dt();
   if (shortest && contact_step_.violated_constraint() >= 0)
     return end(StatusCode::kConstraint, time,
                "the constraints cannot be met, first " +
@@ -31,7 +37,7 @@ bool Simulator::retry_contact_step(double h, double time) {
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with persistent contacts was not solved: ") +
                    (*contact_step_.why() != 0 ? contact_step_.why() : "an event in it was not located"));
-  state_.dense.events.contact_halvings += contact_step_.rim_turns_far() ? 0 : 1;
+  state_.dense.events.contact_halvings += runs ? 0 : 1;
   state_.control.halve_contact(h);
   contact_step_.invalidate();
   return true;
@@ -93,7 +99,8 @@ bool Simulator::first_contact_change(const Interval& interval, double h, double&
       again = true;
     }
   }
-  return alpha <= 0.0 || !contact_step_.rim_turns_far() || h <= kShortestSwing * contact_dt();
+  const bool runs = contact_step_.rim_turns_far() || contact_step_.runs_along_lines();
+  return alpha <= 0.0 || !runs || h <= kShortestSwing * contact_dt();
 }
 
 // Whether the contact step just solved gains more energy than its error explains: then it is rejected. Contacts cannot
@@ -105,9 +112,48 @@ bool Simulator::gains_energy() {
   const double T1 = 0.5 * p1_.dot(contact_step_.end_velocity()), V1 = potential(q1_);
   const double rise = T1 + V1 - T0 - V0 - contact_step_.work();
   const double rounding = kEnergyRounding * (std::abs(V0) + std::abs(V1) + T0 + T1);
-  if (rise <= contact_step_.energy_error(state_.p, p1_) + rounding) return false;
+  if (rise <= rounding || rise <= contact_step_.energy_error(state_.p, p1_) + rounding) return false;
   contact_step_.reject("its energy rises");
   return true;
+}
+
+// The pair that overlaps most at q, among those that the last search found near and those with persistent contacts, and
+// its gap; -1: none by more than is promised.
+int Simulator::deepest_pair(const VecX& q, double& gap) {
+  guards_.place(q);
+  int deepest = -1;
+  const auto look_at = [&](int guard) {
+    if (!scene_->is_pair(guard) || guards_.gap(guard) >= std::min(gap, -guards_.promised(guard))) return;
+    deepest = guard;
+    gap = guards_.gap(guard);
+  };
+  for (int guard : contacts_.guards_with_contacts()) look_at(guard);
+  for (int guard : finder_.active()) look_at(guard);
+  return deepest;
+}
+
+// Whether a pair that touches overlaps at the end of the contact step just solved by more than is promised, and more than
+// at its start: then the step is rejected. One that overlaps already is recorded.
+bool Simulator::sinks_in(Recording& recording, double time) {
+  contact_step_.finish(q1_, p1_);
+  double least = 0.0;
+  const int worst = deepest_pair(q1_, least);
+  if (worst < 0) return false;
+  guards_.place(state_.q);
+  const double before = guards_.gap(worst);
+  if (least < before - Guards::kFeatureRounding) {
+    contact_step_.reject("bodies would overlap");
+    return true;
+  }
+  record_overlap(worst, least, time, recording);
+  return false;
+}
+
+// A pair overlaps by more than is promised. Overlaps that are hardly deeper than one that was recorded are not.
+void Simulator::record_overlap(int guard, double gap, double time, Recording& recording) {
+  if (gap >= kDeeper * state_.deepest) return;
+  state_.deepest = gap;
+  recording.changes.push_back({time, guard, 0, Change::kOverlap, gap});
 }
 
 // Of gravity, springs and force fields [J].
@@ -165,7 +211,7 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     return true;
   }
   const double taken = alpha * h;
-  if (taken > 0.0 && gains_energy()) return retry_contact_step(h, at);
+  if (taken > 0.0 && (gains_energy() || sinks_in(recording, at + taken))) return retry_contact_step(h, at);
   if (taken > 0.0) {
     contact_step_.finish(q1_, p1_);
     if (!stays_in_range(at)) return false;
@@ -298,7 +344,7 @@ void Simulator::record_contact_forces(double time, double h, Recording& recordin
                                                         : ContactMode::kSticks;
     recording.contacts.push(time, h, persistent.point.guard, persistent.point.feature, mode, state_.step, middle,
                             out.contact.normal, out.position_impulse_W, out.velocity_impulse_W, out.contact.gap,
-                            out.slip_W);
+                            out.slip_W, out.slip_before_W);
   }
 }
 

@@ -300,7 +300,7 @@ bool ContactSet::points_changed(int guard) {
 
 int ContactSet::find_points(double time, Recording& recording) {
   for (PersistentContact& persistent : step_->contacts()) {
-    if (persistent.point.kind != PointKind::kRim) continue;
+    if (persistent.point.kind != PointKind::kRim && persistent.point.kind != PointKind::kRimLine) continue;
     guards_->place(run_->q);
     guards_->manifolds().update_rim(persistent.point, guards_->placements());
   }

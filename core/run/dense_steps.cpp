@@ -201,6 +201,9 @@ void Simulator::accept_dense_step(double time, double h, Recording& recording) {
       if (c.loaded()) record_dense_contact(c, time, h, recording);
   const bool changed = contacts_.follow(dense_step_, time + h, recording);
   const DenseReport& report = dense_step_.report();
+  const int deepest = dense_step_.deepest();
+  if (deepest >= 0 && scene_->is_pair(deepest) && report.gap < -guards_.promised(deepest))
+    record_overlap(deepest, report.gap, time + h, recording);
   recording.dense.push_back({time, h, report.residual, report.gap, report.energy_rise, report.energy_loss,
                              report.energy_error, report.contacts, report.repaired, state_.step, 0});
   dense_step_.commit();

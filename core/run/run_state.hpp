@@ -41,6 +41,7 @@ struct RunState {
   DensePhase dense;
   long impacts = 0, rejected = 0, dense_steps = 0;
   double contact_seconds = 0;
+  double deepest = 0;  // the least gap of a pair that a record tells of [m]
 };
 
 // What the parts of the engine start the next step from, besides the state of the run.

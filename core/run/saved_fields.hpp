@@ -93,9 +93,9 @@ void fields(Archive& a, DensePhase& x) {
 template <class Archive>
 void fields(Archive& a, RunState& x) {
   auto& [start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
-         initial_changes, actuators, work, dense, impacts, rejected, dense_steps, contact_seconds] = x;
+         initial_changes, actuators, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest] = x;
   values(a, start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
-         initial_changes, actuators, work, dense, impacts, rejected, dense_steps, contact_seconds);
+         initial_changes, actuators, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest);
 }
 
 template <class Archive>
@@ -132,16 +132,16 @@ void fields(Archive& a, PersistentContact& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactOutcome& x) {
-  auto& [contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W, w_n,
-         slipped, slips, turned, reversed, active, keeps, freed, slip, paradox] = x;
-  values(a, contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W, w_n,
-         slipped, slips, turned, reversed, active, keeps, freed, slip, paradox);
+  auto& [contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
+         slip_before_W, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox] = x;
+  values(a, contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
+         slip_before_W, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox);
 }
 
 template <class Archive>
 void fields(Archive& a, ContactStep::Node& x) {
-  auto& [known, t, q, phi, rate, at, t1, side, W] = x;
-  values(a, known, t, q, phi, rate, at, t1, side, W);
+  auto& [known, t, q, phi, rate, at, t1, side, along, W] = x;
+  values(a, known, t, q, phi, rate, at, t1, side, along, W);
 }
 
 template <class Archive>
@@ -278,8 +278,10 @@ void fields(Archive& a, Segments& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactRows& x) {
-  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, guard, mode, dense, point, step] = x;
-  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, guard, mode, dense, point, step);
+  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense, point,
+         step] = x;
+  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense,
+         point, step);
 }
 
 template <class Archive>

@@ -364,6 +364,11 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   record_segment(at, h, p1_, recording);
   state_.q.swap(q1_);
   state_.p.swap(p1_);
+  if (!finder_.active().empty()) {
+    double gap = 0.0;
+    const int guard = deepest_pair(state_.q, gap);
+    if (guard >= 0) record_overlap(guard, gap, at + h, recording);
+  }
   interval.checked = true;
   interval.done += h;
   interval.remaining = shorter ? interval.length - interval.done : 0.0;

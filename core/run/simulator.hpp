@@ -203,6 +203,9 @@ class Simulator {
                             Recording& recording);
   void step_past_rounding(int guard);
   bool gains_energy();
+  int deepest_pair(const VecX& q, double& gap);
+  bool sinks_in(Recording& recording, double time);
+  void record_overlap(int guard, double gap, double time, Recording& recording);
   double potential(const VecX& q);
   bool update_contact_points(const Interval& interval, Recording& recording);
   void keep_contact_step(double share, bool hit, bool cut);

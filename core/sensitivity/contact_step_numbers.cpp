@@ -131,7 +131,7 @@ template <class Archive, class Outcome>
 void outcome_fields(Archive& a, Outcome& o) {
   contact_fields(a, o.contact);
   for (auto* x : {&o.t1, &o.t2, &o.position_impulse_W, &o.velocity_impulse_W, &o.position_impulse, &o.velocity_impulse,
-                  &o.slip_W})
+                  &o.slip_W, &o.slip_before_W})
     a.fixed(*x);
   a.fixed(o.slip);
   for (auto* x : {&o.w_n, &o.reversed, &o.paradox}) a.number(*x);
@@ -251,7 +251,7 @@ bool is_body(const Scene& scene, int k) { return k == -1 || within(k, scene.tree
 
 // Whether it is a point of one of the scene's guards.
 bool belongs(const Scene& scene, const ContactPoint& p) {
-  if (!within(p.guard, scene.guard_count()) || p.kind > PointKind::kEdge) return false;
+  if (!within(p.guard, scene.guard_count()) || p.kind > PointKind::kRimLine) return false;
   if ((p.kind == PointKind::kLimit) == scene.is_pair(p.guard)) return false;
   return p.kind == PointKind::kLimit || (is_body(scene, p.point_body) && is_body(scene, p.plane_body));
 }

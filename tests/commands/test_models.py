@@ -223,3 +223,20 @@ def test_wrong_input(command, arguments, says):
     assert result.exit_code == WRONG_INPUT
     for text in (says, "expected:", "got:", "remedy:"):
         assert text in result.stderr
+
+
+SUNK = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/>
+<body name="b" pos="0 0 .098"><freejoint/><geom name="g" size=".1"/></body></worldbody></mujoco>"""
+
+
+@needs_mujoco
+def test_a_start_with_overlaps_is_moved_apart_and_told(command):
+    """A ball 2 mm in the floor of its file; 2 cm deep it is lifted, as before."""
+    text, traj = run(command, write("m.xml", SUNK), "--duration", 0.1, "--save-scene", "s.toml")
+    assert "floor | g overlapped by 0.002 m; the start was moved: 'b' by 2 mm" in text
+    assert traj.q[0, 2] == pytest.approx(0.1, abs=1e-12)
+    assert command("run", "s.toml", "-o", "again", "--no-html", "--no-plot").exit_code == OK
+    np.testing.assert_array_equal(cvi.Trajectory.load("again/trajectory.npz").q, traj.q)
+    text, traj = run(command, write("deep.xml", SUNK.replace(".098", ".08")), "--duration", 0.1)
+    assert "0.05 m below the lowest shape" in text
+    assert "overlap" not in text

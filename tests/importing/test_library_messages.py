@@ -67,6 +67,21 @@ def test_a_picture_whose_vertices_are_not_finite(tmp_path: Path):
     check(caught.value, "nan.obj", "base_0")
 
 
+@pytest.mark.parametrize("name", [name for name in BROKEN if name not in ("flat.obj", "nan.obj")])
+def test_pictures_that_cannot_be_read(name: str, tmp_path: Path):
+    (tmp_path / name).write_bytes(BROKEN[name])
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(
+        f'<robot name="r"><link name="base"><visual><geometry><mesh filename="{name}"/></geometry></visual></link>'
+        "</robot>"
+    )
+    scene = cvi.Scene()
+    scene.add_urdf(urdf)
+    with pytest.raises(cvi.ContactviError) as caught:
+        scene.pictures()
+    check(caught.value, name, "base_0")
+
+
 def triangles(rows: list[tuple[int, int, int]]) -> coal.StdVec_Triangle:
     result = coal.StdVec_Triangle()
     for row in rows:

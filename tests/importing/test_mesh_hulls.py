@@ -1,4 +1,4 @@
-"""Hulls of mesh files, which are made in a thread of their own while the next files are read."""
+"""Hulls of mesh files, which are made in other threads while the next files are read."""
 
 from pathlib import Path
 

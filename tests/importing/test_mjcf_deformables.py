@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import contactvi as cvi
+from contactvi.importing.mjcf import compiler
 from helpers.extras import mujoco_module
 
 mujoco = mujoco_module()
@@ -74,3 +76,38 @@ def test_the_command_line_has_the_choice(command, tmp_path: Path):
     assert command(*line, "--allow", "flex", "--save-scene", str(saved)).exit_code == 0
     assert 'allow = ["flex"]' in saved.read_text()
     assert cvi.load_scene(saved).nv == 33
+
+
+def test_a_model_from_the_cache_is_refused_and_taken_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The cache has what MuJoCo makes of a file; whether it is taken is no part of that."""
+    monkeypatch.setenv("CONTACTVI_CACHE", str(tmp_path / "cache"))
+    compiled: list[Path] = []
+    compile_file = compiler._compile
+
+    def counted(mujoco: Any, file: Path) -> Any:
+        compiled.append(file)
+        return compile_file(mujoco, file)
+
+    monkeypatch.setattr(compiler, "_compile", counted)
+    file = file_of(tmp_path, CLOTH + BALL)
+    errors, reports = [], []
+    for _ in range(2):
+        with pytest.raises(cvi.SceneError, match="got 1 flex: 'cloth', with 9 bodies") as caught:
+            cvi.Scene.from_mjcf(file)
+        errors.append(str(caught.value))
+        scene = cvi.Scene.from_mjcf(file, allow=("flex",))
+        assert scene.nv == 33
+        reports.append(str(scene.report))
+    assert errors[0] == errors[1]
+    assert reports[0] == reports[1]
+    assert compiled == [file]
+
+
+def test_a_changed_mesh_of_a_deformable_body_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CONTACTVI_CACHE", str(tmp_path / "cache"))
+    file = file_of(tmp_path, '<flexcomp name="patch" type="mesh" file="patch.obj" dim="2" mass="1"/>')
+    square = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 .1\nf 1 2 3\nf 2 4 3\n"
+    (tmp_path / "patch.obj").write_text(square)
+    assert cvi.Scene.from_mjcf(file, allow=("flex",)).nv == 12
+    (tmp_path / "patch.obj").write_text(square + "v 2 1 0\nf 2 5 4\n")
+    assert cvi.Scene.from_mjcf(file, allow=("flex",)).nv == 15

@@ -66,7 +66,7 @@ def test_they_are_pictures_as_well(tmp_path: Path):
         + shape('<drake:ellipsoid a=".1" b=".2" c=".3"/>', "visual"),
     )
     part = scene_of(tmp_path, inner)._parts.parts[0]
-    kinds = [type(g.geometry) for g in part.load_visual().geometryObjects]
+    kinds = [type(picture.geometry.geometry) for picture in part.load_pictures()]
     assert kinds == [coal.Capsule, coal.Box, coal.Ellipsoid]
 
 

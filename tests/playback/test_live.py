@@ -582,6 +582,8 @@ def test_ctrl_c_ends_a_live_run_with_its_files(tmp_path):
     run = subprocess.Popen(
         [sys.executable, "-c", "from contactvi.commands.entry import main; main()", *map(str, arguments)],
         cwd=tmp_path, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        # Children of a shell's background job inherit an ignored SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     while "Live view at" not in run.stdout.readline():
         assert run.poll() is None

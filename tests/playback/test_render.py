@@ -56,7 +56,9 @@ def program(folder: Path, name: str, text: str) -> None:
         ("a.gif", {"forces": 1}, "forces"),
     ],
 )
-def test_bad_arguments(ball, tmp_path, name, options, match):
+def test_bad_arguments(ball, tmp_path, monkeypatch, name, options, match):
+    """They are told where there is no browser, too."""
+    monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(cvi.InputError, match=match):
         ball.render(tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []

@@ -53,7 +53,7 @@ def made(compiled, chosen=None, level=1e-4, **how):
     chosen = chosen or options()
     simulator = engine.make(compiled, chosen)
     v0 = [*BOX_V0, *np.zeros(compiled.states.nv - 6)] if compiled.states.nv in (6, 12) else None
-    assert engine.accepts(simulator, *engine.checked_start(compiled, None, v0))
+    assert engine.accepts(simulator, *engine.checked_start(compiled, chosen, None, v0)[0])
     run, stopped = engine.run_auto(simulator, chosen.span, level, None, **how)
     assert not stopped
     return run

@@ -1,7 +1,8 @@
-"""Compile an MJCF by MuJoCo, and hold the result with a name for everything in it."""
+"""Compile an MJCF by MuJoCo, or find it compiled, and hold the result with a name for everything in it."""
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ import pinocchio as pin
 
 from contactvi.errors import SceneError
 from contactvi.files import as_a_path
+from contactvi.importing.mjcf.compiled import Compiled, entry_of, meshes_of
 from contactvi.importing.report import PartReport
 from contactvi.importing.xml import read_xml
 
@@ -25,7 +27,6 @@ _NUMBERS = {
     "degree of freedom": ("dof_armature", "dof_damping", "dof_frictionloss", "qpos0", "qpos_spring"),
     "geom": ("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_solref"),
     "site": ("site_pos", "site_quat"),
-    "mesh": ("mesh_vert",),
     "equality": ("eq_data",),
     "tendon": ("tendon_stiffness", "tendon_damping", "tendon_lengthspring"),
     "actuator": ("actuator_gainprm", "actuator_biasprm", "actuator_gear", "actuator_ctrlrange", "actuator_forcerange"),
@@ -52,17 +53,42 @@ def import_mujoco() -> Any:
     return mujoco
 
 
-def compile_file(mujoco: Any, file: Path, report: PartReport) -> Any:
-    """Return the mujoco.MjModel of an MJCF; what MuJoCo warns of goes to the report.
+def open_source(file: Path, report: PartReport) -> Source:
+    """Return the compiled model of an MJCF, from the cache on disk where it is there; warnings go to the report.
 
     Raises:
-        SceneError: no MJCF, or one that MuJoCo refuses, with its reason and the line.
+        SceneError: no MJCF, one that MuJoCo refuses, with its reason and the line, or one whose numbers are not finite.
     """
     # MuJoCo's own reader also takes URDF and binary models, and has no limit for the depth of a file.
-    _check_files(file)
+    texts = _check_files(file)
+    entry = entry_of(file, texts) or _new_entry_of(file, texts)
+    found = None if entry is None else Compiled.found(entry, lambda: meshes_of(_compile(import_mujoco(), file)[0]))
+    if found is not None:
+        return Source(found, report)
+    mujoco = import_mujoco()
+    model, warnings = _compile(mujoco, file)
+    _check_meshes(model)
+    made = Compiled.of(mujoco, model, warnings, entry)
+    source = Source(made, report)
+    if entry is not None and entry_of(file, texts) == entry:  # no file has changed while it was compiled
+        made.keep(entry)
+    return source
+
+
+def _new_entry_of(file: Path, texts: list[tuple[Path, bytes]]) -> str | None:
+    """Return the name of the entry of a model whose files are not known yet; None where not all of them are there."""
     try:
-        with _warnings_go_to(mujoco, report):
-            return mujoco.MjModel.from_xml_path(str(file))
+        used = import_mujoco().mju_getXMLDependencies(str(file))
+    except (ValueError, RuntimeError):  # the compiler says what is wrong
+        return None
+    return entry_of(file, texts, used) if all(map(os.path.isfile, used)) else None
+
+
+def _compile(mujoco: Any, file: Path) -> tuple[Any, list[str]]:
+    """Return the mujoco.MjModel of an MJCF, and what MuJoCo warns of."""
+    try:
+        with _warnings_of(mujoco) as warnings, _without_old_meshes(mujoco):
+            return mujoco.MjModel.from_xml_path(str(file)), warnings
     except (ValueError, RuntimeError, MemoryError, UnicodeError) as error:
         reason = " ".join(line.strip() for line in str(error).splitlines() if line.strip()) or type(error).__name__
         raise SceneError(
@@ -75,20 +101,57 @@ def compile_file(mujoco: Any, file: Path, report: PartReport) -> Any:
 
 
 @contextmanager
-def _warnings_go_to(mujoco: Any, report: PartReport) -> Iterator[None]:
+def _warnings_of(mujoco: Any) -> Iterator[list[str]]:
     """Collect what MuJoCo else prints; its handler of warnings is one for the process."""
+    texts: list[str] = []
     with _HANDLER:
         before = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(lambda text: report.note("suspicious", "file", "", f"MuJoCo: {text}"))
+        mujoco.set_mju_user_warning(texts.append)
         try:
-            yield
+            yield texts
         finally:
             mujoco.set_mju_user_warning(before)
 
 
-def _check_files(file: Path) -> None:
-    """Raise SceneError where the file, or one that it includes, is no MJCF that a parser can take."""
-    waiting, seen = [(file, read_xml(file, "mujoco", "an MJCF"))], {file}
+@contextmanager
+def _without_old_meshes(mujoco: Any) -> Iterator[None]:
+    """Keep MuJoCo from taking meshes that it has read before: it knows them by the second of their last change.
+
+    What it makes of them would be kept under the name of what they contain now.
+    """
+    cache = mujoco.mj_getCache()
+    capacity = mujoco.mj_getCacheCapacity(cache)
+    mujoco.mj_setCacheCapacity(cache, 0)
+    try:
+        yield
+    finally:
+        mujoco.mj_setCacheCapacity(cache, capacity)
+
+
+def _check_meshes(model: Any) -> None:
+    """Raise SceneError for vertices that are not finite."""
+    bad = np.flatnonzero(~np.isfinite(model.mesh_vert).all(axis=1))
+    if len(bad):
+        _refuse_numbers("mesh_vert", "", model.mesh_vert[bad[0]])
+
+
+def _refuse_numbers(field: str, of: str, values: Any, body: str | None = None) -> NoReturn:
+    raise SceneError(
+        f"The compiled model has numbers that are not finite in {field}{of}",
+        body=body,
+        expected="numbers whose squares and products are finite",
+        got=str(values),
+        remedy="Correct the sizes, places and masses behind it",
+    )
+
+
+def _check_files(file: Path) -> list[tuple[Path, bytes]]:
+    """Return the file and all that it includes, with their contents.
+
+    Raises:
+        SceneError: one of them is no MJCF that a parser can take.
+    """
+    waiting, seen = [(file, read_xml(file, "mujoco", "an MJCF"))], {file: file.read_bytes()}
     while waiting:
         path, root = waiting.pop()
         if (composite := next(root.iter("composite"), None)) is not None:
@@ -114,26 +177,35 @@ def _check_files(file: Path) -> None:
                     remedy=f"Put it into {path.parent}, or correct the name",
                 )
             if inner not in seen:
-                seen.add(inner)
                 waiting.append((inner, read_xml(inner, None, "an MJCF")))
+                seen[inner] = inner.read_bytes()
+    return list(seen.items())
 
 
 class Source:
     """A compiled model (`m`, its fields as in MuJoCo's mjModel) with distinct names, and the report of its import.
 
     Attributes:
-        mujoco: the module.
-        m: mujoco.MjModel.
-        names: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key" | "flex": names}.
+        m: the numbers of the model. meshes: its meshes.
+        given: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key" | "flex": names in the
+            file}, "" for what has none.
+        names: the same with a distinct name for everything.
     """
 
-    def __init__(self, mujoco: Any, m: Any, report: PartReport) -> None:
-        self.mujoco, self.m, self.report = mujoco, m, report
-        counts = {
-            "body": m.nbody, "joint": m.njnt, "geom": m.ngeom, "site": m.nsite, "actuator": m.nactuator,
-            "tendon": m.ntendon, "equality": m.neq, "key": m.nkey, "flex": m.nflex,
+    def __init__(self, compiled: Compiled, report: PartReport) -> None:
+        m = compiled.m
+        self.m, self.meshes, self.report = m, compiled.meshes, report
+        self._enums = compiled.enums
+        for text in compiled.warnings:
+            report.note("suspicious", "file", "", f"MuJoCo: {text}")
+        starts = {
+            "body": m.name_bodyadr, "joint": m.name_jntadr, "geom": m.name_geomadr, "site": m.name_siteadr,
+            "actuator": m.name_actuatoradr, "tendon": m.name_tendonadr, "equality": m.name_eqadr, "key": m.name_keyadr,
+            "flex": m.name_flexadr,
         }  # fmt: skip
-        self.names = {kind: self._distinct(kind, count) for kind, count in counts.items()}
+        texts = bytes(m.names)
+        self.given = {kind: [_text_at(texts, start) for start in places] for kind, places in starts.items()}
+        self.names = {kind: self._distinct(kind) for kind in starts}
         self.switched_off = int(m.opt.disableflags)
         self._check_numbers()
         self._check_rotations()
@@ -148,13 +220,7 @@ class Source:
                     continue
                 names = self.names.get(kind, [])
                 of = f" of {kind} {names[bad[0]]!r}" if bad[0] < len(names) else ""
-                raise SceneError(
-                    f"The compiled model has numbers that are not finite in {name}{of}",
-                    body=names[bad[0]] if of and kind == "body" else None,
-                    expected="numbers whose squares and products are finite",
-                    got=str(values[bad[0]]),
-                    remedy="Correct the sizes, places and masses behind it",
-                )
+                _refuse_numbers(name, of, values[bad[0]], names[bad[0]] if of and kind == "body" else None)
 
     def _check_rotations(self) -> None:
         """Raise SceneError for quaternions of length zero: MuJoCo makes them of those whose squares overflow."""
@@ -178,17 +244,16 @@ class Source:
             remedy="Give a quaternion of length 1 in the file",
         )
 
-    def _distinct(self, kind: str, count: int) -> list[str]:
+    def _distinct(self, kind: str) -> list[str]:
         """Return the names of one kind; what has none is called by its kind and number, a geom by its body."""
-        number = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-        given = [self.mujoco.mj_id2name(self.m, number, i) or "" for i in range(count)]
+        given = list(self.given[kind])
         taken = set(given)
         for i, name in enumerate(given):
             if name:
                 continue
             base, k = f"{kind}_{i}", 0
             if kind == "geom":
-                base = self.mujoco.mj_id2name(self.m, self.mujoco.mjtObj.mjOBJ_BODY, self.m.geom_bodyid[i]) or base
+                base = self.given["body"][self.m.geom_bodyid[i]] or base
                 given[i] = base if base != "world" else f"{base}_0"
             else:
                 given[i] = base
@@ -204,22 +269,20 @@ class Source:
 
     def off(self, flag: str) -> bool:
         """Whether the file's <option><flag> switches something off: "CONTACT", "LIMIT", "SPRING", ..."""
-        return bool(self.switched_off & int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
+        return bool(self.switched_off & self.number("DisableBit", flag))
 
     def number(self, enum: str, name: str) -> int:
         """Return the number of a member: number("Geom", "BOX")."""
-        return int(getattr(getattr(self.mujoco, f"mjt{enum}"), f"mj{_PREFIXES[enum]}_{name}"))
+        return self._enums[enum][name]
 
     def word(self, enum: str, value: int) -> str:
         """Return the name of a member in small letters: word("Geom", 6) = "box"."""
-        name = str(getattr(self.mujoco, f"mjt{enum}")(int(value)).name)
-        return name.partition("_")[2].lower()
+        return next(name for name, number in self._enums[enum].items() if number == int(value)).lower()
 
 
-_PREFIXES = {
-    "Joint": "JNT", "Geom": "GEOM", "Eq": "EQ", "Trn": "TRN", "Dyn": "DYN", "Gain": "GAIN", "Bias": "BIAS",
-    "Wrap": "WRAP", "Obj": "OBJ",
-}  # fmt: skip
+def _text_at(texts: bytes, start: int) -> str:
+    """Return the text that begins at a place and ends with a zero."""
+    return texts[start : texts.index(b"\0", start)].decode("utf-8", "replace")
 
 
 def unit(wxyz: Any) -> np.ndarray:

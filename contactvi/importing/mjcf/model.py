@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,17 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError
+from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.mjcf.actuators import actuators_of
 from contactvi.importing.mjcf.compiler import Source
 from contactvi.importing.mjcf.contacts import geom_friction, geom_pairs
 from contactvi.importing.mjcf.contacts import restitution as ratio_of_speeds
 from contactvi.importing.mjcf.forces import Forces
-from contactvi.importing.mjcf.shapes import Shape, color_of, in_pictures, shapes_of
+from contactvi.importing.mjcf.shapes import Shape, Shapes, color_of, in_pictures
 from contactvi.importing.mjcf.states import configuration_of, inside_limits, velocity_of
 from contactvi.importing.mjcf.tree import Tree, build_tree
 from contactvi.importing.part import FileData, Part
+from contactvi.importing.pictures import Picture, Surface
 
 SOLREF = "solref"  # value of the argument restitution: from the damping ratios of the file's contacts
 ALLOWED = ("flex",)  # values of the argument allow: what is refused unless it is named
@@ -52,8 +55,8 @@ class Choices:
     allow: tuple[str, ...] = ()
 
 
-def part_of(opened: MjcfFile, choices: Choices) -> Part:
-    """Return the part of a compiled model."""
+def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
+    """Return the part of a compiled model; `hulls` is given the meshes of its collision shapes."""
     source, prefix, placement = opened.source, choices.prefix, choices.placement
     m = source.m
     if m.nbody == 1 and m.ngeom == 0:
@@ -68,11 +71,9 @@ def part_of(opened: MjcfFile, choices: Choices) -> Part:
     tree = build_tree(source)
     name = _model_name(source) or opened.path.stem
     tree.model.name = name
-    collision, index = _collision(source, tree)
-    visual = pin.GeometryModel()
-    for geom in in_pictures(source):
-        for shape in shapes_of(source, geom):
-            visual.addGeometryObject(_geometry(source, tree, geom, shape))
+    shapes = Shapes(source)
+    collision, index = _collision(source, tree, shapes, hulls)
+    drawn = [(_geometry(source, tree, g, shape), shape.mesh) for g in in_pictures(source) for shape in shapes.of(g)]
     forces = Forces(source, tree, prefix, placement, choices.gravity)
     data = FileData(springs=forces.springs(), actuators=actuators_of(source, prefix) if choices.actuators else [])
     data.elements = [*(forces.constraints() if choices.equality else []), *forces.tendons(), *forces.wrenches()]
@@ -85,7 +86,7 @@ def part_of(opened: MjcfFile, choices: Choices) -> Part:
         collision=collision,
         start=configuration_of(source, qpos),
         report=source.report,
-        load_visual=lambda: visual,
+        load_pictures=cache(lambda: [Picture(item, _surface(source, mesh)) for item, mesh in drawn]),
         prefix=prefix,
         placement=placement,
         given_pairs=given,
@@ -94,7 +95,7 @@ def part_of(opened: MjcfFile, choices: Choices) -> Part:
     )
     for key, title in enumerate(source.names["key"]):
         qpos, qvel = np.array(m.key_qpos[key]), np.array(m.key_qvel[key])
-        if not m.key(key).name and np.array_equal(qpos, m.qpos0) and not np.any(qvel):
+        if not source.given["key"][key] and np.array_equal(qpos, m.qpos0) and not np.any(qvel):
             continue  # one of those that <size nkey=".."/> adds says nothing
         data.configurations[title] = configuration_of(source, qpos), velocity_of(source, qpos, qvel)
         if np.any(m.key_act[key]) or np.any(m.key_ctrl[key]):
@@ -136,16 +137,22 @@ def _model_name(source: Source) -> str:
     return bytes(source.m.names).partition(b"\0")[0].decode("utf-8", "replace")
 
 
+def _surface(source: Source, mesh: int | None) -> Surface | None:
+    return None if mesh is None else source.meshes.of(mesh)
+
+
 def _geometry(source: Source, tree: Tree, geom: int, shape: Shape) -> pin.GeometryObject:
     m, body = source.m, int(source.m.geom_bodyid[geom])
     place = tree.at(body, m.geom_pos[geom], m.geom_quat[geom])
-    name = source.names["geom"][geom] + shape[0]
-    made = pin.GeometryObject(name, tree.joint[body], tree.frame[body], place, shape[1])
+    name = source.names["geom"][geom] + shape.suffix
+    made = pin.GeometryObject(name, tree.joint[body], tree.frame[body], place, shape.solid)
     made.meshColor = color_of(source, geom)
     return made
 
 
-def _collision(source: Source, tree: Tree) -> tuple[pin.GeometryModel, dict[int, list[int]]]:
+def _collision(
+    source: Source, tree: Tree, shapes: Shapes, hulls: MeshHulls
+) -> tuple[pin.GeometryModel, dict[int, list[int]]]:
     """Return the geoms that can touch anything, and the numbers of the shapes of each geom."""
     m, model = source.m, pin.GeometryModel()
     listed = {int(g) for g in (*m.pair_geom1, *m.pair_geom2)}
@@ -153,8 +160,12 @@ def _collision(source: Source, tree: Tree) -> tuple[pin.GeometryModel, dict[int,
     index: dict[int, list[int]] = {}
     for geom in range(m.ngeom):
         if bits[geom] or geom in listed:
-            shapes = shapes_of(source, geom)
-            index[geom] = [model.addGeometryObject(_geometry(source, tree, geom, shape)) for shape in shapes]
+            index[geom] = []
+            for shape in shapes.of(geom):
+                made = _geometry(source, tree, geom, shape)
+                if (surface := _surface(source, shape.mesh)) is not None:
+                    hulls.take_surface(made, *surface)
+                index[geom].append(model.addGeometryObject(made))
     return model, index
 
 
@@ -206,7 +217,7 @@ def _note_rest(source: Source) -> None:
         if there:
             source.lose("option", name, "not simulated")
     if m.nsensor:
-        kinds = sorted({source.mujoco.mjtSensor(int(kind)).name.partition("_")[2].lower() for kind in m.sensor_type})
+        kinds = sorted({source.word("Sensor", kind) for kind in m.sensor_type})
         source.lose("sensor", f"{m.nsensor}", f"sensors: {', '.join(kinds)}")
     for body, name in enumerate(source.names["body"]):
         if m.body_mocapid[body] >= 0:

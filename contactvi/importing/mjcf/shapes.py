@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -12,7 +13,18 @@ from contactvi.importing.hulls import hull_of_points
 from contactvi.importing.mjcf.compiler import Source
 
 MOST_PRISMS = 2000  # of which a height field is made: more would take minutes to load
-Shape = tuple[str, coal.CollisionGeometry]
+
+
+class Shape(NamedTuple):
+    """A shape of a geom: what follows the geom's name, its solid for coal, and the number of its mesh if it has one.
+
+    The solid of a mesh is an empty one, in whose place a hull or a surface comes.
+    """
+
+    suffix: str
+    solid: coal.CollisionGeometry
+    mesh: int | None = None
+
 
 _PRIMITIVES: dict[str, Callable[[np.ndarray], coal.CollisionGeometry]] = {
     # The size of a plane is for pictures alone: in contact it has no end.
@@ -25,37 +37,32 @@ _PRIMITIVES: dict[str, Callable[[np.ndarray], coal.CollisionGeometry]] = {
 }
 
 
-def shapes_of(source: Source, geom: int) -> list[Shape]:
-    """Return the shapes of a geom in its frame, with what follows the geom's name: one, prisms of a height field, or
-    none where there is no such shape."""
+class Shapes:
+    """The shapes of geoms in their frames, each made once."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._found: dict[int, list[Shape]] = {}
+
+    def of(self, geom: int) -> list[Shape]:
+        """Return the shapes of a geom: one, prisms of a height field, or none where there is no such shape."""
+        if geom not in self._found:
+            self._found[geom] = _shapes_of(self._source, geom)
+        return self._found[geom]
+
+
+def _shapes_of(source: Source, geom: int) -> list[Shape]:
     m, kind = source.m, source.word("Geom", source.m.geom_type[geom])
     if kind in _PRIMITIVES:
-        return [("", _PRIMITIVES[kind](np.array(m.geom_size[geom], dtype=float)))]
+        return [Shape("", _PRIMITIVES[kind](np.array(m.geom_size[geom], dtype=float)))]
     if kind == "hfield":
         return _prisms(source, geom)
     if kind in ("mesh", "sdf"):
         if kind == "sdf":
             source.lose("geom", source.names["geom"][geom], "signed distance field: the hull of its mesh is used")
-        return [("", _mesh(source, geom))]
+        return [Shape("", coal.BVHModelOBBRSS(), int(m.geom_dataid[geom]))]
     source.lose("geom", source.names["geom"][geom], f"shape {kind}")
     return []
-
-
-def _mesh(source: Source, geom: int) -> coal.CollisionGeometry:
-    """Return the mesh of a geom; its vertices are in the frame of the geom."""
-    m, k = source.m, int(source.m.geom_dataid[geom])
-    vertices = m.mesh_vert[m.mesh_vertadr[k] : m.mesh_vertadr[k] + m.mesh_vertnum[k]]
-    faces = m.mesh_face[m.mesh_faceadr[k] : m.mesh_faceadr[k] + m.mesh_facenum[k]]
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in np.array(vertices, dtype=float):
-        points.append(vertex)
-    for a, b, c in np.asarray(faces).tolist():
-        triangles.append(coal.Triangle(a, b, c))
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(faces), len(vertices))
-    mesh.addSubModel(points, triangles)
-    mesh.endModel()
-    return mesh
 
 
 def _prisms(source: Source, geom: int) -> list[Shape]:
@@ -75,7 +82,7 @@ def _prisms(source: Source, geom: int) -> list[Shape]:
         a, b, d, e = (r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)
         for half, corners in enumerate(((d, a, e), (a, e, b))):
             points = [(x[j], y[i], height) for i, j in corners for height in (z[i, j], -base)]
-            found.append((f"_{r}_{c}_{half}", hull_of_points(np.array(points), f"{name}_{r}_{c}_{half}")))
+            found.append(Shape(f"_{r}_{c}_{half}", hull_of_points(np.array(points), f"{name}_{r}_{c}_{half}")))
     return found
 
 
@@ -93,4 +100,4 @@ def in_pictures(source: Source) -> list[int]:
     return shown or list(range(source.m.ngeom))
 
 
-__all__ = ["MOST_PRISMS", "Shape", "color_of", "in_pictures", "shapes_of"]
+__all__ = ["MOST_PRISMS", "Shape", "Shapes", "color_of", "in_pictures"]

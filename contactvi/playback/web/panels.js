@@ -2,7 +2,7 @@
 
 const element = id => document.getElementById(id);
 const EVENT_COLORS = {impact: "#e0431f", limit: "#8a5fc2", begin: "#2f7d4f", release: "#7c8794", stick: "#0072b2",
-  slip: "#e69f00", zeno: "#111111", inconsistent: "#d0006f"};
+  slip: "#e69f00", zeno: "#111111", inconsistent: "#d0006f", overlap: "#b00000"};
 const ICONS = {play: "M4 2.5v11l9-5.5z", pause: "M3.5 2.5h3v11h-3zM9.5 2.5h3v11h-3z"};
 const ROW = 40;  // [px] of the list
 
