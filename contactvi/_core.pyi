@@ -490,11 +490,23 @@ def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3)
 
 def hull_of_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]]:
     """
-    Vertices (n, 3) and triangles (m, 3) of the hull that coal makes of points, which must have a volume.
+    Vertices (n, 3) and triangles (m, 3) of the hull of points, finite, in coal's order; none where there is no hull.
     """
 
 def hull_faces(hull: int) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]:
     """Triangles (m, 3) of a coal.Convex, of which hull is the id()."""
+
+def crowded_vertices(vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]) -> int:
+    """
+    How many vertices of a hull have more edges than coal can count: distances there are right to HULL_ERROR.
+    """
+
+def neighbor_lists(vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], list[list[int]]]:
+    """
+    Points of the engine's copy of a hull, its vertices and their helpers, and the neighbours of each, for tests.
+    """
+
+HULL_ERROR: float = 1e-09
 
 def set_hull(hull: int, vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]) -> None:
     """

@@ -33,7 +33,7 @@ from contactvi.version import __version__
 
 Arrays = list[NDArray[np.generic]]
 
-FORMAT = 2  # raised where entries look different or hulls are computed in another way: no old entry is found then
+FORMAT = 5  # raised where entries look different or hulls are computed in another way: no old entry is found then
 LARGEST = 512_000_000  # bytes of all entries; the largest robots have entries of 5e6, with their meshes of 3e7
 _SUFFIX = ".hull"
 

@@ -40,6 +40,10 @@ Base = Annotated[
     str | None, typer.Option(help="Base of a URDF: fixed or free; by default what its SRDF says, else fixed.")
 ]
 Srdf = Annotated[str | None, typer.Option(help="SRDF of a URDF: its disabled collisions and group states.")]
+Allow = Annotated[
+    list[str] | None,
+    typer.Option(help="Take elements of an MJCF that are refused otherwise: flex, without elasticity; repeatable."),
+]
 Configuration = Annotated[
     str | None, typer.Option(help="Start of a model: the name of a keyframe of the MJCF or of a state of the SRDF.")
 ]
@@ -141,6 +145,7 @@ def run(
     ] = None,
     package_dir: PackageDir = None,
     srdf: Srdf = None,
+    allow: Allow = None,
     save_scene: Annotated[
         Path | None, typer.Option(metavar="SCENE.toml", help="Write the scene file that says what a run assumes.")
     ] = None,
@@ -165,6 +170,7 @@ def run(
     }  # fmt: skip
     given = {
         "base": base, "configuration": configuration, "height": height, "package_dirs": package_dir, "srdf": srdf,
+        "allow": allow,
     }  # fmt: skip
     with phases.of("build"):
         scene = scene_to_run(scene_file, given, save_scene, chosen)
@@ -311,11 +317,12 @@ def check(
     package_dir: PackageDir = None,
     base: Base = None,
     srdf: Srdf = None,
+    allow: Allow = None,
 ) -> None:
     """Print which data of a model are used, changed, ignored or refused, and what `contactvi run` assumes of it."""
     from contactvi.commands.models import choice_of, is_model, model_scene, print_assumed, read_scene
 
-    choice = choice_of({"base": base, "package_dirs": package_dir, "srdf": srdf})
+    choice = choice_of({"base": base, "package_dirs": package_dir, "srdf": srdf, "allow": allow})
     try:
         scene = read_scene(model, choice)
     except SceneError as error:

@@ -46,6 +46,7 @@ class Choice(NamedTuple):
 
     Attributes:
         base: "fixed" or "free", of a URDF. package_dirs: where package:// is looked for. srdf: its SRDF.
+        allow: kinds of elements of an MJCF that are refused otherwise.
         configuration: name of the start in the model's files. height: of a drop [m]; HEIGHT, or
             where the file has surroundings none.
     """
@@ -55,6 +56,7 @@ class Choice(NamedTuple):
     srdf: str | None = None
     configuration: str | None = None
     height: float | None = None
+    allow: Sequence[str] = ()
 
 
 @dataclass
@@ -181,6 +183,11 @@ def model_scene(path: str, choice: Choice) -> ModelScene:
 def _read_model(path: str, choice: Choice) -> ModelScene:
     if _root_tag(path) == "mujoco":
         return _read_mjcf(path, choice)
+    if choice.allow:
+        raise InputError(
+            "--allow is of MJCF files", name="allow", expected="an MJCF with it", got="a URDF",
+            remedy="Leave it out: a URDF has no deformable bodies",
+        )  # fmt: skip
     base, why = _base(path, choice)
     scene = Scene()
     scene.add_urdf(path, base=base, package_dirs=choice.package_dirs, srdf=choice.srdf)
@@ -199,8 +206,11 @@ def _read_mjcf(path: str, choice: Choice) -> ModelScene:
                 f"{name} is of URDF files", name=name.removeprefix("--"), expected="a URDF with it", got="an MJCF",
                 remedy="Leave it out: an MJCF says which of its bodies are free, and has keyframes",
             )  # fmt: skip
-    scene = Scene.from_mjcf(path)
-    tables: list[tuple[str, dict[str, Any]]] = [("[[mjcf]]", {"path": path})]
+    scene = Scene.from_mjcf(path, allow=choice.allow)
+    keys: dict[str, Any] = {"path": path}
+    if choice.allow:
+        keys["allow"] = list(choice.allow)
+    tables: list[tuple[str, dict[str, Any]]] = [("[[mjcf]]", keys)]
     if not np.array_equal(scene.gravity, GRAVITY):
         tables.append(("[scene]", {"gravity": scene.gravity.tolist()}))
     roots = _roots(scene.model)

@@ -13,54 +13,49 @@ import pinocchio as pin
 from contactvi.errors import SceneError
 from contactvi.importing.report import number
 
-# Coal counts neighbours of a vertex up to 255. The engine rounds hulls, which may add to the faces around a vertex.
-MOST_NEIGHBOURS = 100
+MOST_NEIGHBOURS = 254  # of a vertex that coal can count
 # Least thickness of a mesh over its size. Below 1e-7 coal's hull ends the process; that is also the rounding of single
 # precision, in which mesh files hold their vertices.
 THINNEST = 1e-6
 PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Ellipsoid)
 
 
-def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
-    """Return the convex hull of points (n, 3) [m], and the grid [m] to which it was thinned (0 = exact).
+def hull_of_points(points: np.ndarray, name: str) -> coal.Convex:
+    """Return the convex hull of points (n, 3) [m], whatever number of neighbours its vertices have.
 
-    A hull with a vertex of more neighbours than coal can count (a finely divided disc) is thinned until it fits: of the
-    vertices in one cell of the grid the first is kept, so the result lies inside, at most a cell's diagonal away.
+    Coal counts 254 of them. Its own distances from the hull are right up to there; the engine's copies of hulls have
+    helpers at vertices with more (core/model/crowded_vertex.hpp), see `crowded_text`.
 
     Raises:
         SceneError: not finite, fewer than 4 points, or all in a plane.
     """
     from contactvi import _core  # here: saved runs are read and shown without the engine
 
-    points = np.asarray(points, dtype=float).reshape(-1, 3)
-    outer = _outer_points(points, name)
-    size = float(np.max(np.ptp(outer, axis=0)))
-    for grid in (0.0, *(size * 1e-4 * 2.0**k for k in range(10))):
-        thin = outer
-        if grid > 0.0:
-            _, first = np.unique(np.round(outer / grid).astype(np.int64), axis=0, return_index=True)
-            thin = _outer_points(outer[np.sort(first)], name)
-        try:
-            hull = hull_by_engine(*_core.hull_of_points(np.ascontiguousarray(thin)))
-        except RuntimeError as error:
-            if "neighbors" not in str(error):
-                raise SceneError(
-                    f"Mesh of geometry {name!r}",
-                    body=name,
-                    got=str(error).splitlines()[-1],
-                    expected="points with a convex hull",
-                    remedy="Repair the mesh, or replace it by a box, a sphere or a capsule",
-                ) from error
-            continue
-        if max(len(hull.neighbors(i)) for i in range(hull.num_points)) <= MOST_NEIGHBOURS:
-            return hull, grid
-    raise SceneError(
-        f"Hull of geometry {name!r}",
-        body=name,
-        expected="few neighbours per vertex",
-        got="too many",
-        remedy="Simplify the mesh, or replace it by a cylinder, a sphere or a box",
-    )
+    outer = _outer_points(np.asarray(points, dtype=float).reshape(-1, 3), name)
+    vertices, faces = _core.hull_of_points(np.ascontiguousarray(outer))
+    if len(faces) < 4:
+        raise SceneError(
+            f"Mesh of geometry {name!r}",
+            body=name,
+            expected="points with a convex hull",
+            got="none that can be told from rounding",
+            remedy="Repair the mesh, or replace it by a box, a sphere or a capsule",
+        )
+    return hull_by_engine(vertices, faces)
+
+
+def crowded_text(hull: coal.Convex) -> str:
+    """Return what the report says of a hull with vertices of more edges than coal can count; "" for others."""
+    from contactvi import _core  # here: saved runs are read and shown without the engine
+
+    if hull.num_points <= MOST_NEIGHBOURS:
+        return ""
+    count = _core.crowded_vertices(np.array(hull.points()), faces_by_engine(hull))
+    if count == 0:
+        return ""
+    size = float(np.linalg.norm(hull.aabb_local.max_ - hull.aabb_local.min_))
+    several = "vertex" if count == 1 else "vertices"
+    return f"{count} {several} of more than {MOST_NEIGHBOURS} edges, distances to {number(_core.HULL_ERROR * size)} m"
 
 
 def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
@@ -95,10 +90,14 @@ def thickness(points: np.ndarray) -> float:
 
 def hull_from_faces(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:
     """Return the convex polytope with these vertices (n, 3) and outward triangles (m, 3)."""
+    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int32)
+    # As many triangles as neighbours meet at a vertex; coal's constructor raises an error for too many of them.
+    if faces.size and np.bincount(faces.ravel()).max() > MOST_NEIGHBOURS:
+        return hull_by_engine(np.ascontiguousarray(vertices), np.ascontiguousarray(faces))
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    points.extend(list(np.asarray(vertices, dtype=float)))
+    points.extend(list(vertices))
     triangle, append = coal.Triangle(), triangles.append  # which copies; making each one anew takes four times as long
-    for a, b, c in np.asarray(faces, dtype=int).tolist():
+    for a, b, c in faces.tolist():
         triangle.set(a, b, c)
         append(triangle)
     return _finished(coal.Convex(points, triangles))
@@ -165,13 +164,18 @@ def check_shape(geometry: pin.GeometryObject) -> str:
             )
         return ""
     if isinstance(shape, coal.Convex):
-        if not np.all(np.isfinite(shape.points())) or shape.num_points < 4:
+        # An empty one has no array of points, and asking for it ends the process.
+        points = np.array(shape.points()) if shape.num_points >= 4 and shape.num_polygons >= 4 else np.zeros((0, 3))
+        if len(points) < 4 or not np.all(np.isfinite(points)):
             raise SceneError(
                 f"Hull {geometry.name!r}",
                 body=geometry.name,
-                expected="finite vertices",
-                got="none",
-                remedy="Make the hull of at least 4 points that are finite and not in one plane",
+                expected="at least 4 finite vertices, and as many triangles",
+                got="vertices that are not finite"
+                if len(points)
+                else f"{shape.num_points} vertices, {shape.num_polygons} triangles",
+                remedy="Make it of at least 4 points that are not in one plane: "
+                'coal.Convex.convexHull(points, True, "Qt")',
             )
         _finished(shape)
         return f"{shape.num_points} vertices"
@@ -186,7 +190,10 @@ def check_shape(geometry: pin.GeometryObject) -> str:
                 remedy="Correct the sizes of the shape; for a plane take a halfspace, for a point no shape",
             )
         return ""
-    remedies = {"Plane": "A plane has two sides: use coal.Halfspace, a solid with one"}
+    remedies = {
+        "Plane": "A plane has two sides: use coal.Halfspace, a solid with one",
+        "ConvexBase": 'It has no triangles: make it by coal.Convex.convexHull(points, True, "Qt")',
+    }
     for bounding in ("AABB", "OBBRSS"):  # coal has no distance between a height field and a shape
         remedies[f"HeightField{bounding}"] = "Make a convex prism of each triangle, as add_mjcf does with an hfield"
     kind = type(shape).__name__

@@ -17,10 +17,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, SceneError
-from contactvi.importing.hulls import faces_of, hull_of_points
+from contactvi.importing.hulls import crowded_text, faces_of, hull_of_points
 from contactvi.importing.mesh_hulls import MeshFile, MeshHulls
-from contactvi.importing.paths import resolve_path, unreadable
-from contactvi.importing.report import number
+from contactvi.importing.paths import mesh_error, resolve_path, unreadable
 from contactvi.importing.submeshes import surface_of
 from contactvi.inputs import real, real_numbers, short
 
@@ -80,16 +79,15 @@ def mesh_shapes(name: str, source: MeshSource, decompose: Any) -> tuple[list[coa
         if source.file is not None:
             return _hull_of_file(name, source.file)
         assert source.vertices is not None
-        hull, grid = hull_of_points(source.vertices, name)
-        thinned = f", thinned to a grid of {number(grid)} m" if grid > 0.0 else ""
-        return [hull], f"{len(source.vertices)} vertices -> hull of {hull.num_points}{thinned}"
+        hull = hull_of_points(source.vertices, name)
+        return [hull], f"{len(source.vertices)} vertices -> {_text(hull)}"
     concavity = CONCAVITY
     if decompose is not True:
         words = "True, False, or the largest concavity of a piece in [0.01, 1]"
         concavity = real(f"decompose of {name!r}", decompose, 0.01, 1.0, expected=words)
     vertices, faces = source.arrays(name)
     pieces = [
-        hull_of_points(points, f"{name}, piece {k}")[0] for k, points in enumerate(_pieces(vertices, faces, concavity))
+        hull_of_points(points, f"{name}, piece {k}") for k, points in enumerate(_pieces(vertices, faces, concavity))
     ]
     return pieces, f"mesh of {len(vertices)} vertices -> {len(pieces)} convex pieces"
 
@@ -138,8 +136,11 @@ def _hull_of_file(name: str, file: MeshFile) -> tuple[list[coal.Convex], str]:
     _checked(file, lambda: hulls.take(geometry, file))
     found = hulls.of(geometry)
     assert found is not None
-    thinned = f", thinned to a grid of {number(found.grid)} m" if found.grid > 0.0 else ""
-    return [found.shape], f"mesh of {found.count} vertices -> hull of {found.shape.num_points}{thinned}"
+    return [found.shape], f"mesh of {found.count} vertices -> {_text(found.shape)}"
+
+
+def _text(hull: coal.Convex) -> str:
+    return ", ".join(filter(None, (f"hull of {hull.num_points}", crowded_text(hull))))
 
 
 def _read(file: MeshFile) -> coal.BVHModelBase:
@@ -151,7 +152,9 @@ def _read(file: MeshFile) -> coal.BVHModelBase:
 def _checked(file: MeshFile, read: Any) -> None:
     try:
         read()
-    except (OSError, ValueError, RuntimeError) as error:  # of coal's reader
+    except (ValueError, RuntimeError) as error:  # of coal's reader
+        raise mesh_error(file.path, error, "") from error
+    except OSError as error:
         raise unreadable(Path(file.path), error) from error
 
 

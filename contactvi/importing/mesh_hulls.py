@@ -17,8 +17,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi import cache
-from contactvi.importing.hulls import check_shape, faces_by_engine, hull_by_engine, hull_of_points
+from contactvi.importing.hulls import check_shape, crowded_text, faces_by_engine, hull_by_engine, hull_of_points
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
+from contactvi.importing.paths import mesh_error
 from contactvi.importing.report import PartReport, number
 from contactvi.importing.submeshes import Array, volume_inside, volume_of
 
@@ -39,6 +40,17 @@ class MeshFile:
         """Return the mesh; its numbers are those that Pinocchio's reader finds. Raises what coal raises."""
         return coal.MeshLoader(coal.BV_AABB).load(self.path, np.array(self.scale))
 
+    def read_for(self, name: str) -> coal.BVHModelBase:
+        """Return the mesh of a geometry with this name.
+
+        Raises:
+            SceneError: for a file that is no mesh.
+        """
+        try:
+            return self.read()
+        except (ValueError, RuntimeError) as error:
+            raise mesh_error(self.path, error, name) from error
+
     def key(self, what: str = "hull of a mesh file") -> str | None:
         """Return the name of what is made of it in the cache; None where the file does not tell all."""
         path = Path(self.path)
@@ -55,12 +67,11 @@ class MeshHull:
     """The hull of a mesh.
 
     Attributes:
-        shape: the hull. grid: to which it was thinned [m], 0 for an exact one.
+        shape: the hull.
         count: number of vertices of the mesh. volume: of the mesh [m^3], which means nothing for an open surface.
     """
 
     shape: coal.Convex
-    grid: float
     count: int
     volume: float
 
@@ -68,29 +79,28 @@ class MeshHull:
     def found(name: str) -> MeshHull | None:
         """Return the hull in the cache."""
         kept = find_hull(name)
-        if kept is None or kept.numbers.shape != (3,):
+        if kept is None or kept.numbers.shape != (2,):
             return None
-        grid, count, volume = kept.numbers.tolist()
-        return MeshHull(hull_by_engine(kept.vertices, kept.faces), grid, int(count), volume)
+        count, volume = kept.numbers.tolist()
+        return MeshHull(hull_by_engine(kept.vertices, kept.faces), int(count), volume)
 
     def keep(self, name: str) -> None:
         """Write it into the cache."""
-        numbers = np.array([self.grid, self.count, self.volume])
+        numbers = np.array([self.count, self.volume])
         keep_hull(name, KeptHull(np.array(self.shape.points()), faces_by_engine(self.shape), numbers))
 
 
 class _Started(NamedTuple):
     """A hull that is being made: of so many vertices, with the name of its entry in the cache."""
 
-    made: Future[tuple[coal.Convex, float]]
+    made: Future[coal.Convex]
     key: str | None
     vertices: int
     volume: Callable[[], float]
 
     def finish(self) -> MeshHull:
         """Wait for the hull and keep it; raises what making it raises."""
-        shape, grid = self.made.result()
-        hull = MeshHull(shape, grid, self.vertices, self.volume())
+        hull = MeshHull(self.made.result(), self.vertices, self.volume())
         if self.key is not None:
             hull.keep(self.key)
         return hull
@@ -111,9 +121,12 @@ class MeshHulls:
         self._maker: ThreadPoolExecutor | None = None
 
     def take(self, geometry: pin.GeometryObject, file: MeshFile) -> None:
-        """Give a geometry the hull of a file, where the cache has it, else its mesh. Raises what coal raises.
+        """Give a geometry the hull of a file, where the cache has it, else its mesh.
 
         The hull of the mesh is made in another thread, while the next files are read.
+
+        Raises:
+            SceneError: for a file that is no mesh.
         """
         if file not in self._keys:
             key = self._keys[file] = file.key()
@@ -121,7 +134,7 @@ class MeshHulls:
             if hull is not None:
                 self._hulls[file] = hull
             else:
-                mesh = self._meshes[file] = file.read()
+                mesh = self._meshes[file] = file.read_for(geometry.name)
                 name = f"{geometry.name} ({Path(file.path).name})"
                 self._start(file, key, mesh.vertices(), name, lambda: volume_of(mesh, file.path, np.array(file.scale)))
         self._sources[geometry.name] = file
@@ -184,8 +197,8 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport, hulls: Me
     text = f"mesh of {hull.count} vertices -> hull of {hull.shape.num_points}"
     if np.isfinite(ratio):
         text += f", volume x {number(ratio)}"
-    if hull.grid > 0.0:
-        text += f", thinned to a grid of {number(hull.grid)} m"
+    if crowded := crowded_text(hull.shape):
+        text += f", {crowded}"
     report.note("changed", "mesh", geometry.name, "replaced by its convex hull")
     if np.isfinite(ratio) and ratio > 2.0:
         report.note("suspicious", "mesh", geometry.name, "the hull has more than twice the volume of the mesh")
@@ -198,7 +211,6 @@ def _hull_of(mesh: coal.BVHModelBase, name: str) -> MeshHull:
     key = cache.key("hull of a mesh", np.array(mesh.vertices()).tobytes(), volume)
     if (found := MeshHull.found(key)) is not None:
         return found
-    shape, grid = hull_of_points(mesh.vertices(), name)
-    made = MeshHull(shape, grid, int(mesh.num_vertices), volume)
+    made = MeshHull(hull_of_points(mesh.vertices(), name), int(mesh.num_vertices), volume)
     made.keep(key)
     return made

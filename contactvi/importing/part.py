@@ -243,6 +243,14 @@ def cylinder(name: str, radius: float, length: float, mass: float) -> tuple[coal
     return coal.Cylinder(radius, length), pin.Inertia.FromCylinder(_size(name, "mass", mass), radius, length)
 
 
+def ellipsoid(name: str, radii: ArrayLike, mass: float) -> tuple[coal.CollisionGeometry, pin.Inertia]:
+    """Return shape and inertia of a solid ellipsoid: half axes along x, y, z [m], mass [kg]."""
+    axes = vector(f"radii of {name!r}", radii, 3)
+    for axis in axes:
+        _size(name, "radii", axis)
+    return coal.Ellipsoid(*axes.tolist()), pin.Inertia.FromEllipsoid(_size(name, "mass", mass), *axes.tolist())
+
+
 def halfspace(normal: ArrayLike, offset: float, name: str) -> coal.CollisionGeometry:
     """Return the solid halfspace n.x <= offset [m]; the free side is where the normal points."""
     return coal.Halfspace(unit_vector(f"normal of {name!r}", normal), real(f"offset of {name!r}", offset))

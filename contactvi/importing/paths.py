@@ -154,6 +154,26 @@ def _similar(missing: Path) -> str:
     return f"Correct the path: the folder {folder} has no {missing.suffix + ' ' if missing.suffix else ''}file like it"
 
 
+def mesh_error(path: object, error: BaseException, name: str) -> SceneError:
+    """Return the error of a mesh file that its reader, coal's or Pinocchio's, gives up; name: its geometry, or ""."""
+    of = f" of geometry {name!r}" if name else ""
+    return SceneError(
+        f"Cannot read the mesh {path}{of}",
+        path=path,
+        body=name or None,
+        got=reason_of(error),
+        expected="a mesh file in a format that it reads: STL, OBJ, DAE or PLY",
+        remedy="Export it again as STL or OBJ from a viewer of meshes, or replace it by a box or a sphere",
+    )
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what an exception of a library says in one line, without the places in its sources that come first."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    told = [line for line in lines if line and not line.startswith("Hint")]
+    return (told[-1].removeprefix("message: ") if told else type(error).__name__).rstrip(". ")
+
+
 def unreadable(path: Path, error: Exception) -> SceneError:
     """Return the error for a file that is there and cannot be read."""
     expected, remedy = "a file that can be read", "Look at its permissions, or choose another file"

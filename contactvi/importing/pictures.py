@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from contactvi import cache
 from contactvi.importing.mesh_hulls import MeshFile
-from contactvi.importing.paths import unreadable
+from contactvi.importing.paths import mesh_error, unreadable
 from contactvi.importing.submeshes import surface_of, unused_vertices
 
 
@@ -63,16 +63,22 @@ def with_meshes(pictures: Iterable[Picture]) -> pin.GeometryModel:
     return visual
 
 
-def surface_of_file(file: MeshFile) -> Surface:
+def surface_of_file(file: MeshFile, name: str) -> Surface:
     """Return the mesh of a file, mended where coal reads it torn; from the cache on disk where it is there.
 
-    Raises what coal raises. Warns (TornMeshWarning) of a torn mesh that stays so, which is not kept.
+    Warns (TornMeshWarning) of a torn mesh that stays so, which is not kept.
+
+    Args:
+        name: of the geometry, for errors.
+
+    Raises:
+        SceneError: for a file that is no mesh.
     """
     key = file.key("surface of a mesh file")
     kept = find_surface(key) if key is not None else None
     if kept is not None:
         return kept
-    vertices, faces = surface_of(file.read(), file.path, np.array(file.scale))
+    vertices, faces = surface_of(file.read_for(name), file.path, np.array(file.scale))
     found = Surface(vertices.astype(np.float32), faces.astype(np.uint32))
     if key is not None and (Path(file.path).suffix.lower() == ".stl" or not unused_vertices(vertices, faces)):
         cache.keep(key, found)
@@ -94,8 +100,10 @@ def find_surface(name: str) -> Surface | None:
 def _mesh_of_file(geometry: pin.GeometryObject) -> coal.BVHModelBase:
     try:
         return coal.MeshLoader(coal.BV_OBBRSS).load(geometry.meshPath, np.array(geometry.meshScale))
-    except (OSError, ValueError, RuntimeError) as error:  # it was there when the surface was read
+    except OSError as error:  # it was there when the surface was read
         raise unreadable(Path(geometry.meshPath), error) from error
+    except (ValueError, RuntimeError) as error:
+        raise mesh_error(geometry.meshPath, error, geometry.name) from error
 
 
 def _mesh_of(surface: Surface) -> coal.BVHModelBase:

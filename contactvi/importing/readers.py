@@ -21,11 +21,11 @@ from contactvi.files import checked_path
 from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.joint_kinds import ONE_DOF, joint_kind
 from contactvi.importing.mesh_hulls import MeshHulls
-from contactvi.importing.meshes import collision_geometry, pictures_of_urdf
+from contactvi.importing.meshes import collision_geometry, pictures_of_urdf, without_shapes
 from contactvi.importing.mjcf.compiler import open_source
-from contactvi.importing.mjcf.model import SOLREF, Choices, MjcfFile, part_of
+from contactvi.importing.mjcf.model import ALLOWED, SOLREF, Choices, MjcfFile, part_of
 from contactvi.importing.part import Part
-from contactvi.importing.paths import resolve_path
+from contactvi.importing.paths import mesh_error, reason_of, resolve_path
 from contactvi.importing.pictures import Picture, pictures_of
 from contactvi.importing.prepare import finish, neutral, reported
 from contactvi.importing.report import PartReport
@@ -47,6 +47,7 @@ def import_urdf(
     folder: Path | None = None,
     mimic: Any = True,
     armature: Any = None,
+    contact_friction: Any = False,
 ) -> Part:
     """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
 
@@ -62,18 +63,20 @@ def import_urdf(
             remedy="Use base='free' for a robot that can move away, base='fixed' for one that is bolted down",
         )
     mimic, prefix = flag("mimic", mimic), words("prefix", prefix)
+    contact_friction = flag("contact_friction", contact_friction)
     for entry in listed("package_dirs", package_dirs, "folders"):
         checked_path(entry, "package_dirs")
     file = resolve_path(path, folder, package_dirs)
     report, hulls = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}"), MeshHulls()
     with reported(report, file):
-        urdf = read_urdf(file, package_dirs, report, mimic)
+        urdf = read_urdf(file, package_dirs, report, mimic, contact_friction)
         report.prefix_names(prefix)
         report.title = f"{prefix}{urdf.name}: URDF {file}, base {base}"
+        tree = without_shapes(urdf.xml)
         if base == "free":
-            model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
+            model = _parse(file, lambda: pin.buildModelFromXML(tree, pin.JointModelFreeFlyer(), ROOT_JOINT))
         else:
-            model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml))
+            model = _parse(file, lambda: pin.buildModelFromXML(tree))
         collision = _parse(file, lambda: collision_geometry(model, urdf.xml, hulls))
         _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
@@ -87,10 +90,11 @@ def import_urdf(
             load_pictures=cache(lambda: _pictures(file, lambda: pictures_of_urdf(model, urdf.xml), collision)),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
-            disabled=found.pairs,
+            disabled=[*urdf.filtered, *found.pairs],
             mimics=urdf.mimics,
         )
         finish(part, file.name, hulls)
+        part.data.contact.update({(name,): (value, None) for name, value in urdf.friction.items()})
         part.data.elements += mimic_constraints(part, urdf.mimics, mimic)
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
@@ -142,6 +146,7 @@ def import_mjcf(
     equality: Any = True,
     actuators: Any = True,
     restitution: Any = 0.0,
+    allow: Any = (),
 ) -> Part:
     """Return the part of an MJCF; arguments as in Scene.add_mjcf, gravity [m/s^2] is the scene's.
 
@@ -149,18 +154,35 @@ def import_mjcf(
     """
     if not (restitution is None or restitution == SOLREF):
         restitution = real("restitution", restitution, 0.0, 1.0)
-    prefix = words("prefix", prefix)
+    prefix, kinds = words("prefix", prefix), _allowed(allow)
     report, hulls = opened.source.report, MeshHulls()
     with reported(report, opened.path):
         part = part_of(
             opened,
-            Choices(prefix, placement, gravity, flag("equality", equality), flag("actuators", actuators), restitution),
+            Choices(
+                prefix, placement, gravity, flag("equality", equality), flag("actuators", actuators), restitution, kinds
+            ),
             hulls,
         )
         report.prefix_names(prefix)
         report.title = f"{part.name}: MJCF {opened.path}"
         finish(part, opened.path.name, hulls)
     return part
+
+
+def _allowed(allow: Any) -> tuple[str, ...]:
+    """Return the argument allow as a tuple."""
+    found = tuple(listed("allow", [allow] if isinstance(allow, str) else allow, "kinds of elements"))
+    for kind in found:
+        if kind not in ALLOWED:
+            raise InputError(
+                "Argument allow",
+                name="allow",
+                expected=" | ".join(map(repr, ALLOWED)),
+                got=short(kind),
+                remedy="allow=('flex',) loads a file with deformable bodies, without their elasticity",
+            )
+    return found
 
 
 def _parse(file: Path, build: Callable[[], Any]) -> Any:
@@ -170,22 +192,15 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
     except ContactviError:
         raise
     except Exception as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        reason = next((line for line in reversed(lines) if not line.startswith("Hint")), type(error).__name__)
+        lines = [line.strip() for line in str(error).splitlines()]
         resource = next((line.rpartition("resource ")[2] for line in lines if "Could not load resource" in line), None)
         if resource is not None:
-            raise SceneError(
-                f"Cannot read the mesh {resource}",
-                path=resource,
-                got=reason,
-                expected="a mesh file in a format that it reads: STL, OBJ, DAE or PLY",
-                remedy="Export it again as STL or OBJ from a viewer of meshes, or replace it by a box or a sphere",
-            ) from error
+            raise mesh_error(resource, error, "") from error
         raise SceneError(
             f"Pinocchio cannot read {file.name}",
             path=file,
             expected="a model it understands",
-            got=reason,
+            got=reason_of(error),
             remedy="Correct what it names in the file; contactvi check prints what was understood until there",
         ) from error
 

@@ -15,13 +15,30 @@ from xml.etree import ElementTree
 from contactvi.errors import SceneError, did_you_mean
 from contactvi.importing.paths import resolve_resource
 from contactvi.importing.report import PartReport
+from contactvi.importing.urdf_extensions import (
+    DRAKE,
+    check_joint_tags,
+    filtered_pairs,
+    note_extensions,
+    surface_friction,
+    turn_quaternions,
+)
 from contactvi.importing.xml import Element, check_positive, named, numbers, read_xml
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-SHAPES = ("box", "sphere", "cylinder", "mesh")
+# Sizes of each shape: name and count of the numbers. A capsule's length is that of its cylinder, an ellipsoid has half
+# axes along x, y and z.
+SHAPES: dict[str, tuple[tuple[str, int], ...]] = {
+    "box": (("size", 3),),
+    "sphere": (("radius", 1),),
+    "cylinder": (("radius", 1), ("length", 1)),
+    "capsule": (("radius", 1), ("length", 1)),
+    f"{DRAKE}ellipsoid": (("a", 1), ("b", 1), ("c", 1)),
+    "mesh": (),
+}
 # urdfdom recurses over the links, and ends the process for some thousands of them.
 MOST_LINKS_IN_A_CHAIN = 1500
-KNOWN = ("link", "joint", "material")
+KNOWN = ("link", "joint", "material", f"{DRAKE}collision_filter_group")
 FILE_LIMITS = "effort and velocity limits"
 
 
@@ -38,18 +55,29 @@ class Mimic(NamedTuple):
 
 @dataclass
 class UrdfText:
-    """A checked URDF: its name, its XML with resolved meshes, and its mimic tags by joint."""
+    """A checked URDF.
+
+    Attributes:
+        xml: with resolved meshes. mimics: mimic tags by joint.
+        filtered: pairs of links that do not collide, with the reason.
+        friction: of collision shapes by name, if it was asked for.
+    """
 
     name: str
     xml: str
     mimics: dict[str, Mimic]
+    filtered: list[tuple[str, str, str]]
+    friction: dict[str, float]
 
 
-def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport, mimic: bool = True) -> UrdfText:
+def read_urdf(
+    path: Path, package_dirs: Sequence[object], report: PartReport, mimic: bool = True, friction: bool = False
+) -> UrdfText:
     """Read, check and complete a URDF; what is ignored or changed goes to the report.
 
     Args:
         mimic: whether mimic tags are needed; else those of unknown joints are noted only.
+        friction: whether the friction of surfaces is needed.
 
     Raises:
         SceneError: whatever makes the file unusable, with path, joint or body.
@@ -59,6 +87,9 @@ def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport, mi
     if not root.get("name"):
         root.set("name", path.stem)
         report.note("changed", "file", path.name, f"the robot has no name, it is called {path.stem!r}")
+    root.attrib.pop("version", None)  # All versions are read; the parser behind takes some alone.
+    check_joint_tags(root, path)
+    turn_quaternions(root, path)
     links = named(root.findall("link"), path, "link")
     joints = named(root.findall("joint"), path, "joint")
     _check_tree(links, joints, path)
@@ -72,7 +103,14 @@ def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport, mi
         names = [child.get("name") or child.get("reference") or "" for child in root.findall(tag)]
         given = ", ".join(dict.fromkeys(n for n in names if n)) or f"{len(names)} of them"
         report.note("ignored", "element", f"<{tag}>", given if len(given) < 90 else f"{len(names)} of them")
-    return UrdfText(str(root.get("name")), ElementTree.tostring(root, encoding="unicode"), mimics)
+    note_extensions(root, report, friction)
+    return UrdfText(
+        name=str(root.get("name")),
+        xml=ElementTree.tostring(root, encoding="unicode"),
+        mimics=mimics,
+        filtered=filtered_pairs(root, links, path),
+        friction=surface_friction(root, links, path) if friction else {},
+    )
 
 
 def _check_expanded(root: Element, path: Path) -> None:
@@ -244,6 +282,8 @@ def _check_shape(holder: Element, link: str, path: Path, package_dirs: Sequence[
     where = f"link {link!r}"
     geometry = holder.find("geometry")
     shape = next(iter(geometry), None) if geometry is not None else None
+    if shape is not None and shape.tag == f"{DRAKE}capsule":
+        shape.tag = "capsule"
     if shape is None or shape.tag not in SHAPES:
         raise SceneError(
             f"{path.name}: shape of a <{holder.tag}> of {where}",
@@ -256,8 +296,7 @@ def _check_shape(holder: Element, link: str, path: Path, package_dirs: Sequence[
     if (origin := holder.find("origin")) is not None:
         numbers(origin, "xyz", path, where, 3)
         numbers(origin, "rpy", path, where, 3)
-    sizes = {"box": (("size", 3),), "sphere": (("radius", 1),), "cylinder": (("radius", 1), ("length", 1)), "mesh": ()}
-    for key, count in sizes[shape.tag]:
+    for key, count in SHAPES[shape.tag]:
         check_positive(shape, key, path, where, count)
     if shape.tag == "mesh":
         scale = numbers(shape, "scale", path, where, 3)

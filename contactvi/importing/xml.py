@@ -6,6 +6,7 @@ import math
 import re
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 from contactvi.errors import SceneError
 from contactvi.importing.paths import unreadable
@@ -25,8 +26,8 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
         SceneError: not readable, broken XML (with the line), or the root is not `root_tag` (None: any).
     """
     try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
+        root = parsed(path.read_bytes())
+    except (expat.error, ElementTree.ParseError) as error:
         raise SceneError(
             f"Broken XML in {path.name}",
             path=path,
@@ -58,6 +59,23 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
             remedy=remedies.get(root.tag, f"Name a file whose root element is <{root_tag}>"),
         )
     return root
+
+
+def parsed(text: bytes | str) -> Element:
+    """Return the root element of an XML text; a prefix stays part of a tag (`drake:capsule`), declared or not.
+
+    The readers of these formats know no namespaces, so files with prefixes that nothing declares are about.
+
+    Raises:
+        xml.parsers.expat.error: broken XML. ValueError, LookupError: an encoding that is not known.
+    """
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(text, True)
+    return builder.close()
 
 
 def depth(root: Element) -> int:

@@ -205,6 +205,15 @@ def from_picture(picture: Picture) -> Visual | None:
         return None
     if name == "mesh" and not len(faces):
         return None
+    if not _finite(vertices):
+        raise SceneError(
+            f"Picture of geometry {shape.name!r}",
+            path=shape.meshPath or None,
+            body=shape.name,
+            expected="vertices that are finite in single precision",
+            got=f"nan or inf in {shape.meshPath or 'its mesh'}",
+            remedy="Repair the mesh, or take its <visual> out of the file",
+        )
     return Visual(
         name=str(shape.name),
         joint=int(shape.parentJoint),

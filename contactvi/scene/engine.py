@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
-from contactvi.errors import EngineError, SceneError
+from contactvi.errors import SceneError
 from contactvi.importing.engine_model import engine_model
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
@@ -44,7 +44,8 @@ def make_engine_scene(
         restitution, friction: Of the tested pairs, shapes (npairs,).
 
     Raises:
-        SceneError: The engine refuses it.
+        EngineError: The engine refuses it.
+        SceneError: There is no memory for it.
     """
     from contactvi import _core
 
@@ -65,15 +66,6 @@ def make_engine_scene(
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)
-    except EngineError:
-        raise
-    except RuntimeError as error:  # of coal
-        raise SceneError(
-            "The engine refuses the scene",
-            got=str(error).strip().splitlines()[-1],
-            expected="joints, shapes and numbers that it can take",
-            remedy="Look at scene.report for what was read of the models; simplify what it names",
-        ) from error
     except MemoryError:
         raise SceneError(
             "The scene does not fit into the memory",

@@ -143,6 +143,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         mimic: bool = True,
         armature: float | Mapping[str, float] | None = None,
         self_collision: bool = True,
+        contact_friction: bool = False,
     ) -> PartHandle:
         """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
 
@@ -161,6 +162,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             armature: inertia [kg m^2 or kg] about all joints with one degree of freedom that moves no body, or
                 {name or pattern: inertia}; a joint that moves no mass needs one.
             self_collision: whether its links may touch each other; single pairs: `enable_pair`, `disable_pair`.
+            contact_friction: whether its shapes have the friction that the file gives them for Drake (mu_dynamic),
+                Bullet (lateral_friction) or Gazebo (the smaller one of mu1 and mu2).
 
         Raises:
             SceneError, UnsupportedJointError, InputError
@@ -169,7 +172,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         where = pose("placement", placement)
         part = import_urdf(
             path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic,
-            armature=armature,
+            armature=armature, contact_friction=contact_friction,
         )  # fmt: skip
         return self.add_model(part, limits, friction, self_collision)
 
@@ -193,6 +196,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         actuators: bool = True,
         restitution: float | str | None = 0.0,
         self_collision: bool = True,
+        allow: Sequence[str] = (),
     ) -> PartHandle:
         """Add an MJCF, compiled by MuJoCo (needs `pip install "contactvi[mjcf]"`). The rest as in add_urdf.
 
@@ -207,12 +211,14 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             restitution: of the contacts in the file and with it and of the limits, in [0, 1]; "solref": of its contacts
                 what a spring and damper with the file's damping ratio has (0.135 for MuJoCo's default); None: as set by
                 `set_contact`.
+            allow: deformable bodies are refused (SceneError); ("flex",) takes the vertices of each <flex> and
+                <flexcomp> as loose bodies, without elasticity and contact surface.
         """
         where = pose("placement", placement)
         opened = path if isinstance(path, MjcfFile) else open_mjcf(path)
         part = import_mjcf(
             opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
-            restitution=restitution,
+            restitution=restitution, allow=allow,
         )  # fmt: skip
         return self.add_model(part, limits, friction, self_collision)
 
@@ -242,8 +248,9 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         of the speeds; friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
-        an MJCF says, else the default. Warns (UnusedSettingWarning) of a default that the MJCF of the scene leave to no
-        pair: set_contact(part, restitution=...) replaces theirs; and where none of the pairs between a and b is tested.
+        an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
+        of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs;
+        and where none of the pairs between a and b is tested.
         """
         if a is None and b is not None:
             a, b = b, None

@@ -72,6 +72,18 @@ class SceneShapes(ABC):
         """Add a solid cylinder along z: radius, length [m]. The rest as in add_sphere."""
         return self._add_shape(name, *shapes.cylinder(name, radius, length, mass), free, placement, color)
 
+    def add_ellipsoid(
+        self,
+        name: str,
+        radii: ArrayLike,
+        mass: float = 1.0,
+        free: bool = True,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a solid ellipsoid: half axes along x, y, z [m], shape (3,). The rest as in add_sphere."""
+        return self._add_shape(name, *shapes.ellipsoid(name, radii, mass), free, placement, color)
+
     def add_mesh(
         self,
         name: str,

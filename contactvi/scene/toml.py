@@ -5,11 +5,12 @@
                             { follow = "body" }
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
                             friction = false, mimic = true, armature = number | { joint = number },
-                            self_collision = true
+                            self_collision = true, contact_friction = false
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
-                            restitution = 0 | number | "solref", self_collision = true
+                            restitution = 0 | number | "solref", self_collision = true, allow = [] | ["flex"]
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
+    [[ellipsoid]]           name, radii, ...
     [[mesh]]                name, path, mass | density, scale, decompose = false | true | number, ...
     [[halfspace]]           normal, offset, name, color
     [contact]               restitution, friction (defaults), disable = [["a", "b"]], enable = [["a", "b"]]
@@ -156,10 +157,13 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
             folder=folder,
             mimic=entry.get("mimic", True),
             armature=entry.get("armature"),
+            contact_friction=entry.get("contact_friction", False),
         )
         _add_model(scene, part, entry)
     elif section == "mjcf":
-        options = {key: entry[key] for key in ("prefix", "equality", "actuators", "restitution") if key in entry}
+        options = {
+            key: entry[key] for key in ("prefix", "equality", "actuators", "restitution", "allow") if key in entry
+        }
         opened = open_mjcf(entry["path"], folder)
         part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)
         _add_model(scene, part, entry)

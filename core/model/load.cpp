@@ -6,7 +6,9 @@
 #include <utility>
 
 #include "base/refusal.hpp"
+#include "model/crowded_vertex.hpp"
 #include "model/hull_access.hpp"
+#include "model/polytope_shape.hpp"
 #include "model/public_model.hpp"
 #include "model/rounding.hpp"
 #include "model/scene.hpp"
@@ -191,10 +193,15 @@ void set_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b, Pair& pair) {
   pair.refined = !closed_form && (is_curved(a) || is_curved(b));
 }
 
-// The engine's own copy of a shape.
-std::shared_ptr<coal::CollisionGeometry> copy_of(const coal::CollisionGeometry& shape) {
+// The engine's own copy of the shape of a geometry.
+std::shared_ptr<coal::CollisionGeometry> copy_of(const coal::CollisionGeometry& shape, const std::string& name) {
   if (shape.getNodeType() != coal::GEOM_CONVEX) return std::shared_ptr<coal::CollisionGeometry>(shape.clone());
-  const auto hull = shape_of(polytope_of(shape));
+  const auto polytope = polytope_of(shape);
+  if (const int most = most_neighbors(polytope); most > kMostShared)
+    throw Refusal("The hull of geometry '" + name + "' has a vertex with too many neighbours",
+                  "at most " + std::to_string(kMostShared), std::to_string(most),
+                  "Simplify the mesh, or replace it by a cylinder, a ball or a box");
+  const auto hull = shape_of(polytope);
   static_cast<coal::ShapeBase&>(*hull).setSweptSphereRadius(
       static_cast<const coal::ShapeBase&>(shape).getSweptSphereRadius());
   return hull;
@@ -228,7 +235,7 @@ Geometry make_geometry(const GivenShape& object, const Tree& tree, Copies& copie
   g.p_BG = R_BS * object.p_JG;
   std::shared_ptr<coal::CollisionGeometry>& copy = copies[object.shape];
   if (!copy) {
-    copy = copy_of(shape);
+    copy = copy_of(shape, object.name);
     copy->computeLocalAABB();
   }
   g.sharp = copy;
@@ -253,17 +260,19 @@ Geometry make_geometry(const GivenShape& object, const Tree& tree, Copies& copie
   return g;
 }
 
-// The shapes that a rounded pair has.
-std::vector<Geometry*> rounded_shapes(Scene& scene) {
+// Makes the rounded shapes of the geometries that a rounded pair has.
+void round_shapes_of_pairs(Scene& scene, const std::vector<GivenShape>& shapes, RoundedHulls* known) {
   std::vector<bool> taken(scene.geometries.size(), false);
   std::vector<Geometry*> chosen;
+  std::vector<std::string> names;
   for (const Pair& pair : scene.pairs)
     for (int i : {pair.a, pair.b})
       if (pair.rounded && !taken[i]) {
         taken[i] = true;
         chosen.push_back(&scene.geometries[i]);
+        names.push_back(shapes[i].name);
       }
-  return chosen;
+  round_shapes(chosen, names, known);
 }
 
 void check_sizes(const PublicModel& model, const GeometryPairs& pairs, const SceneParameters& parameters) {
@@ -302,7 +311,7 @@ Scene load_scene(std::shared_ptr<const PublicModel> model, const std::vector<Giv
     set_iteration(a.sharp->getNodeType(), b.sharp->getNodeType(), pair);
     scene.pairs.push_back(pair);
   }
-  round_shapes(rounded_shapes(scene), known);
+  round_shapes_of_pairs(scene, shapes, known);
   return scene;
 }
 

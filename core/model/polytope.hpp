@@ -1,12 +1,7 @@
-// Convex polytopes as arrays, and as coal's shapes.
+// Convex polytopes as arrays.
 #pragma once
 
 #include <Eigen/Core>
-#include <memory>
-
-namespace coal {
-class CollisionGeometry;
-}
 
 namespace contactvi {
 
@@ -15,9 +10,5 @@ struct Polytope {
   Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor> vertices;  // [m]
   Eigen::Matrix<int, Eigen::Dynamic, 3, Eigen::RowMajor> faces;  // indices of vertices, anticlockwise from outside
 };
-
-// Coal's shape of a polytope, equal to the one that coal's own constructor makes. Throws Error for indices of no vertex
-// and for a vertex with more neighbours than coal can count.
-std::shared_ptr<coal::CollisionGeometry> shape_of(const Polytope& polytope);
 
 }  // namespace contactvi

@@ -7,12 +7,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <unordered_map>
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "base/refusal.hpp"
+#include "model/convex_hull.hpp"
 #include "model/hull_access.hpp"
+#include "model/polytope_shape.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -20,12 +23,47 @@ namespace contactvi {
 namespace {
 
 using Hull = coal::Convex<coal::Triangle>;
-using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
 // Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less.
 constexpr double kRoundingRadius = 1e-3;
+// Height over length of a triangle of the dual hull below which the plane of its whole face is taken: of a slender one
+// the digits are lost.
+constexpr double kSlender = 1e-3;
+constexpr double kSame = 1e-10;  // of the size: vertices of a shrunk polytope that are nearer to each other are one
 constexpr double kSliver =
     1e-18;  // [m^2] twice the area below which a triangle has no normal (of the dual hull [1/m^2])
+
+void push(std::vector<double>& points, const Vec3& p) { points.insert(points.end(), p.data(), p.data() + 3); }
+
+double size_of(const Polytope& hull) {
+  return (hull.vertices.colwise().maxCoeff() - hull.vertices.colwise().minCoeff()).norm();
+}
+
+double shortest_edge(const Polytope& hull) {
+  double shortest = std::numeric_limits<double>::infinity();
+  for (Eigen::Index i = 0; i < hull.faces.rows(); ++i)
+    for (int k = 0; k < 3; ++k)
+      shortest = std::min(shortest,
+                          (hull.vertices.row(hull.faces(i, k)) - hull.vertices.row(hull.faces(i, (k + 1) % 3))).norm());
+  return shortest;
+}
+
+// The points without those that are within `near` of another one that stays.
+std::vector<double> apart(const std::vector<double>& points, double near) {
+  std::vector<Vec3> all;
+  for (std::size_t i = 0; i < points.size(); i += 3) all.emplace_back(points[i], points[i + 1], points[i + 2]);
+  std::stable_sort(all.begin(), all.end(), [](const Vec3& a, const Vec3& b) { return a[0] < b[0]; });
+  std::vector<Vec3> kept;
+  for (const Vec3& p : all) {
+    bool is_new = true;
+    for (std::size_t k = kept.size(); is_new && k > 0 && p[0] - kept[k - 1][0] <= near; --k)
+      is_new = (p - kept[k - 1]).norm() > near;
+    if (is_new) kept.push_back(p);
+  }
+  std::vector<double> result;
+  for (const Vec3& p : kept) push(result, p);
+  return result;
+}
 
 // A shrunk polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
 // c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the
@@ -33,8 +71,9 @@ constexpr double kSliver =
 std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& radius) {
   const std::vector<coal::Vec3s>& points = *hull.points;
   const std::vector<coal::Triangle>& faces = *hull.polygons;
+  const unsigned count = vertex_count(hull);
   coal::Vec3s center = coal::Vec3s::Zero();
-  for (unsigned i = 0; i < hull.num_points; ++i) center += points[i] / hull.num_points;
+  for (unsigned i = 0; i < count; ++i) center += points[i] / count;
   std::vector<coal::Vec3s> normals;
   std::vector<double> offsets;
   double thinnest = INFINITY;
@@ -53,31 +92,38 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
     thinnest = std::min(thinnest, d);
   }
   radius = std::min(radius, 0.2 * thinnest);
-  Points dual = std::make_shared<std::vector<coal::Vec3s>>();
-  for (std::size_t i = 0; i < normals.size(); ++i) dual->push_back(normals[i] / (offsets[i] - radius));
-  const std::unique_ptr<coal::ConvexBase> dual_base(
-      coal::ConvexBase::convexHull(dual, static_cast<unsigned>(dual->size()), true, "Qt"));
-  const Hull* dual_hull = dynamic_cast<const Hull*>(dual_base.get());
-  if (dual_hull == nullptr)
-    throw Refusal("A convex hull cannot be rounded", "a hull with a volume", "a flat or very thin one",
-                  "Make the mesh thicker, or replace it by a box");
-  Points vertices = std::make_shared<std::vector<coal::Vec3s>>();
-  for (unsigned i = 0; i < dual_hull->num_polygons; ++i) {
-    const coal::Triangle& face = (*dual_hull->polygons)[i];
-    const coal::Vec3s a = (*dual_hull->points)[face[0]], b = (*dual_hull->points)[face[1]],
-                      c = (*dual_hull->points)[face[2]];
-    const coal::Vec3s n = (b - a).cross(c - a);
-    const double d = n.dot(a);
+  std::vector<double> dual;
+  for (std::size_t i = 0; i < normals.size(); ++i) push(dual, normals[i] / (offsets[i] - radius));
+  Planes planes;
+  const Polytope dual_hull = hull_of(dual.data(), dual.size() / 3, planes);
+  std::vector<double> vertices;
+  for (Eigen::Index i = 0; i < dual_hull.faces.rows(); ++i) {
+    const Vec3 a = dual_hull.vertices.row(dual_hull.faces(i, 0)), b = dual_hull.vertices.row(dual_hull.faces(i, 1)),
+               c = dual_hull.vertices.row(dual_hull.faces(i, 2));
+    Vec3 n = (b - a).cross(c - a);
+    double d = n.dot(a);
+    const double longest = std::max({(b - a).norm(), (c - a).norm(), (c - b).norm()});
+    if (n.norm() < kSlender * longest * longest) {
+      n = planes.row(i).head<3>();
+      d = planes(i, 3);
+    }
     if (n.norm() < kSliver || std::abs(d) < 1e-12 * n.norm()) continue;
-    vertices->push_back(center + n / d);
+    push(vertices, center + n / d);
   }
-  return std::shared_ptr<coal::CollisionGeometry>(
-      coal::ConvexBase::convexHull(vertices, static_cast<unsigned>(vertices->size()), true, "Qt"));
+  Polytope shrunk = hull_of(vertices.data(), vertices.size() / 3);
+  // Coal's search for the farthest vertex stops at one of several that are nearer to each other than it can tell apart.
+  const double near = shrunk.faces.rows() > 0 ? kSame * size_of(shrunk) : 0.0;
+  if (shortest_edge(shrunk) < near) {
+    vertices = apart(vertices, near);
+    shrunk = hull_of(vertices.data(), vertices.size() / 3);
+  }
+  return shrunk.faces.rows() > 0 ? shape_of(shrunk) : nullptr;
 }
 
 // A sharp shape, and its rounded copy as it is made.
 struct Rounding {
   const coal::CollisionGeometry* sharp;
+  std::string name;  // of a geometry that has it
   std::optional<ShrunkHull> found;
   std::shared_ptr<coal::CollisionGeometry> core;
   double radius;
@@ -87,7 +133,9 @@ struct Rounding {
   void make() {
     radius = found ? found->radius : kRoundingRadius;
     core = found ? shape_of(found->hull) : shrunk_shape(*sharp, radius);
-    if (!core) throw Error("a collision shape could not be rounded");
+    if (!core)
+      throw Refusal("The hull of geometry '" + name + "' cannot be rounded at its edges", "a hull with a volume",
+                    "a flat or very thin one", "Make the mesh thicker, or replace it by a box");
     static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
     core->computeLocalAABB();
   }
@@ -95,13 +143,15 @@ struct Rounding {
 
 }  // namespace
 
-void round_shapes(const std::vector<Geometry*>& geometries, RoundedHulls* known) {
+void round_shapes(const std::vector<Geometry*>& geometries, const std::vector<std::string>& names,
+                  RoundedHulls* known) {
   std::vector<Rounding> roundings;
   std::vector<std::size_t> number;  // of each geometry's rounding
   std::unordered_map<const coal::CollisionGeometry*, std::size_t> numbers;
-  for (const Geometry* g : geometries) {
-    const auto [at, is_new] = numbers.emplace(g->sharp.get(), roundings.size());
-    if (is_new) roundings.push_back({g->sharp.get(), std::nullopt, nullptr, 0.0});
+  for (std::size_t k = 0; k < geometries.size(); ++k) {
+    const coal::CollisionGeometry* sharp = geometries[k]->sharp.get();
+    const auto [at, is_new] = numbers.emplace(sharp, roundings.size());
+    if (is_new) roundings.push_back({sharp, names[k], std::nullopt, nullptr, 0.0});
     number.push_back(at->second);
   }
   if (known)

@@ -3,9 +3,14 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "model/polytope.hpp"
+
+namespace coal {
+class CollisionGeometry;
+}
 
 namespace contactvi {
 
@@ -31,7 +36,7 @@ class RoundedHulls {
 std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius);
 
 // Makes the rounded shapes of these geometries, in several threads, one for those that share their sharp shape. `known`
-// may be null.
-void round_shapes(const std::vector<Geometry*>& geometries, RoundedHulls* known);
+// may be null. Throws Refusal, which names the geometry, for a hull that cannot be rounded.
+void round_shapes(const std::vector<Geometry*>& geometries, const std::vector<std::string>& names, RoundedHulls* known);
 
 }  // namespace contactvi

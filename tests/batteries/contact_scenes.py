@@ -66,7 +66,7 @@ def solid(rng: np.random.Generator, kind: str, size: float = 0.1) -> tuple[Any, 
         return coal.Ellipsoid(*a), pin.Inertia.FromEllipsoid(mass, *a)
     points = rng.normal(size=(int(rng.integers(6, 20)), 3))
     points *= a / np.linalg.norm(points, axis=1)[:, None]
-    hull, _ = hull_of_points(points, "hull")
+    hull = hull_of_points(points, "hull")
     mass = density * 2.0 * a.prod()
     centre = points.mean(axis=0)
     return hull, pin.Inertia(mass, centre, np.diag(0.2 * mass * (np.sum(a**2) - a**2)))

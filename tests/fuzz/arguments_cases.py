@@ -184,6 +184,7 @@ SCENE = (
     "s.add_box(NEW, SIZE, SOME, FLAG, PLACE, COLOR)",
     "s.add_capsule(NEW, SOME, SOME, SOME, FLAG, PLACE)",
     "s.add_cylinder(NEW, SOME, SOME, SOME, FLAG, PLACE)",
+    "s.add_ellipsoid(NEW, SIZE, SOME, FLAG, PLACE)",
     "s.add_halfspace(POINT, SHARE, NEW, COLOR)",
     "s.set_contact(BODY, BODY, restitution=SHARE, friction=SHARE)",
     "s.set_contact(restitution=SHARE, friction=SHARE)",

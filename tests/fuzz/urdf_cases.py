@@ -102,13 +102,15 @@ def _shape(d: Draws, holder: Element) -> None:
     if d.chance(50):
         sub(holder, "origin", xyz=_three(d), rpy=_three(d))
     geometry = sub(holder, "geometry")
-    kind = d.pick(("box", "sphere", "cylinder", "mesh"))
+    kind = d.pick(("box", "sphere", "cylinder", "capsule", "ellipsoid", "mesh"))
     if kind == "box":
         sub(geometry, "box", size=tuple(d.number(0.05, 0.5) for _ in range(3)))
     elif kind == "sphere":
         sub(geometry, "sphere", radius=d.number(0.05, 0.5))
-    elif kind == "cylinder":
-        sub(geometry, "cylinder", radius=d.number(0.05, 0.5), length=d.number(0.05, 0.5))
+    elif kind == "ellipsoid":
+        sub(geometry, "drake:ellipsoid", a=d.number(0.05, 0.5), b=d.number(0.05, 0.5), c=d.number(0.05, 0.5))
+    elif kind in ("cylinder", "capsule"):
+        sub(geometry, kind, radius=d.number(0.05, 0.5), length=d.number(0.05, 0.5))
     else:
         sub(
             geometry, "mesh", filename=d.pick(("cube.obj", "package://./cube.obj", "./cube.obj")), scale=(0.1, 0.1, 0.1)

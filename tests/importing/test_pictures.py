@@ -166,10 +166,10 @@ def test_thinned_meshes_from_the_cache_are_those_that_are_made(folder: Path, mon
 
 def test_changed_files_have_other_pictures(folder: Path):
     file = MeshFile(str(folder / "ball.obj"), (1.0, 1.0, 1.0))
-    before = surface_of_file(file)
+    before = surface_of_file(file, "ball")
     text = (folder / "ball.obj").read_text()
     (folder / "ball.obj").write_text(text.replace("v 0.0 0.0 1.0", "v 0.0 0.0 2.0"))
-    assert surface_of_file(file).vertices[:, 2].max() == pytest.approx(2.0)
+    assert surface_of_file(file, "ball").vertices[:, 2].max() == pytest.approx(2.0)
     assert before.vertices[:, 2].max() < 1.5
 
 
@@ -177,12 +177,12 @@ def test_entries_that_are_no_surfaces_are_made_again(folder: Path):
     file = MeshFile(str(folder / "ball.obj"), (1.0, 1.0, 1.0))
     key = file.key("surface of a mesh file")
     assert key is not None
-    before = surface_of_file(file)
+    before = surface_of_file(file, "ball")
     points, corners = np.zeros((3, 3), np.float32), np.array([[0, 1, 3]], np.uint32)
     for arrays in ([points], [points, corners], [points, corners.astype(np.int64)], [points.ravel(), corners]):
         cache.keep(key, arrays)
         assert find_surface(key) is None
-        np.testing.assert_array_equal(surface_of_file(file).vertices, before.vertices)
+        np.testing.assert_array_equal(surface_of_file(file, "ball").vertices, before.vertices)
 
 
 @pytest.mark.parametrize("count", [3, 400])

@@ -151,11 +151,13 @@ class TestAssembly:
         scene.add_box("b", (0.1, 0.2, 0.3), 12.0)
         scene.add_cylinder("c", 0.2, 0.6, 12.0)
         scene.add_capsule("k", 0.5, 1e-9, 5.0)  # It is a ball in the limit.
-        s, b, c, k = (np.diag(scene.model.inertias[i].inertia) for i in range(1, 5))
+        scene.add_ellipsoid("e", (0.1, 0.2, 0.3), 5.0)
+        s, b, c, k, e = (np.diag(scene.model.inertias[i].inertia) for i in range(1, 6))
         assert s == pytest.approx([0.4 * 3 * 0.04] * 3)
         assert b == pytest.approx([0.13, 0.10, 0.05])
         assert c == pytest.approx([0.04 * 3 + 0.36, 0.04 * 3 + 0.36, 0.24])
         assert k == pytest.approx([0.4 * 5 * 0.25] * 3)
+        assert e == pytest.approx([0.04 + 0.09, 0.01 + 0.09, 0.01 + 0.04])
 
 
 class TestNames:

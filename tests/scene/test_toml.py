@@ -53,6 +53,11 @@ radius = 0.1
 length = 0.2
 xyz = [-1, 0, 1]
 
+[[ellipsoid]]
+name = "egg"
+radii = [0.1, 0.2, 0.3]
+xyz = [-2, 0, 1]
+
 [[halfspace]]
 normal = [0, 0, 2]
 offset = -0.5
@@ -110,7 +115,7 @@ def write(folder: Path, text: str) -> Path:
 def test_every_entry_arrives(tmp_path: Path):
     scene = load_scene(write(tmp_path, PAGE))
     assert scene.model.gravity.linear == pytest.approx([0, 0, -3.7])
-    assert (scene.nq, scene.nv) == (16 + 3 * 7, 16 + 3 * 6)
+    assert (scene.nq, scene.nv) == (16 + 4 * 7, 16 + 4 * 6)
     e = dict(zip(scene.pair_names, scene.pair_restitution, strict=True))
     assert (e["ball", "ground"], e["can", "ground"], e["crate", "ground"]) == (1.0, 0.3, 0.7)
     assert ("ball", "crate") not in e

@@ -24,10 +24,11 @@ from contactvi import cache
 from contactvi.errors import SceneError
 from contactvi.importing.pictures import Surface, find_surface
 
-# The fields of mjModel that are kept, by how their names begin: not those of meshes, textures, skins and flexes.
+# The fields of mjModel that are kept, by how their names begin: not those of meshes, textures and skins, and of flexes
+# the bodies at their vertices alone, which the error that refuses them counts.
 _BEGINNINGS = (
     "n", "flg_", "qpos", "body_", "jnt_", "dof_", "geom_", "site_", "eq_", "tendon_", "wrap_", "actuator_", "key_",
-    "pair_", "exclude_", "hfield_", "mat_rgba", "sensor_type",
+    "pair_", "exclude_", "hfield_", "mat_rgba", "sensor_type", "flex_vertbodyid",
 )  # fmt: skip
 _OPTIONS = ("gravity", "wind", "density", "viscosity", "disableflags")
 _ENUMS = ("Joint", "Geom", "Eq", "Trn", "Dyn", "Gain", "Bias", "Wrap", "Obj", "Sensor", "DisableBit")

@@ -154,6 +154,15 @@ def _check_files(file: Path) -> list[tuple[Path, bytes]]:
     waiting, seen = [(file, read_xml(file, "mujoco", "an MJCF"))], {file: file.read_bytes()}
     while waiting:
         path, root = waiting.pop()
+        if (composite := next(root.iter("composite"), None)) is not None:
+            raise SceneError(
+                f"{path.name} has a <composite>, which MuJoCo 4 does not read any more",
+                path=path,
+                expected="bodies, or a <flexcomp>",
+                got=f"a composite of type {composite.get('type', 'none')!r}",
+                remedy="Write its bodies out: MuJoCo 3 does so with mj_saveLastXML, and a cable is then a chain of "
+                "rigid bodies; what is deformable (a <flexcomp>) is refused, unless with allow=('flex',)",
+            )
         for name in (element.get("file", "") for element in root.iter("include")):
             # MuJoCo looks beside the main file.
             candidates = ((folder / name).resolve() for folder in (path.parent, file.parent))
@@ -178,8 +187,8 @@ class Source:
 
     Attributes:
         m: the numbers of the model. meshes: its meshes.
-        given: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key": names in the file}, ""
-            for what has none.
+        given: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key" | "flex": names in the
+            file}, "" for what has none.
         names: the same with a distinct name for everything.
     """
 
@@ -192,6 +201,7 @@ class Source:
         starts = {
             "body": m.name_bodyadr, "joint": m.name_jntadr, "geom": m.name_geomadr, "site": m.name_siteadr,
             "actuator": m.name_actuatoradr, "tendon": m.name_tendonadr, "equality": m.name_eqadr, "key": m.name_keyadr,
+            "flex": m.name_flexadr,
         }  # fmt: skip
         texts = bytes(m.names)
         self.given = {kind: [_text_at(texts, start) for start in places] for kind, places in starts.items()}

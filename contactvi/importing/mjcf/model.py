@@ -25,6 +25,7 @@ from contactvi.importing.part import FileData, Part
 from contactvi.importing.pictures import Picture, Surface
 
 SOLREF = "solref"  # value of the argument restitution: from the damping ratios of the file's contacts
+ALLOWED = ("flex",)  # values of the argument allow: what is refused unless it is named
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class Choices:
     equality: bool
     actuators: bool
     restitution: float | str | None
+    allow: tuple[str, ...] = ()
 
 
 def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
@@ -65,6 +67,7 @@ def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
             got="an empty world",
             remedy="Load the file that includes this one",
         )
+    _check_deformables(opened, choices.allow)
     tree = build_tree(source)
     name = _model_name(source) or opened.path.stem
     tree.model.name = name
@@ -103,6 +106,30 @@ def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
         own = ", ".join(f"{x:g}" for x in opened.gravity)
         source.lose("option", "gravity", f"({own}) m/s^2 of the file: the scene has its own; Scene.from_mjcf takes it")
     return part
+
+
+def _check_deformables(opened: MjcfFile, allow: tuple[str, ...]) -> None:
+    """Raise SceneError for flexes, whose bodies without the elasticity between them are loose particles."""
+    source = opened.source
+    names, m = source.names["flex"], source.m
+    if not names:
+        return
+    shown = ", ".join(repr(name) for name in names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    bodies = len({int(body) for body in m.flex_vertbodyid if body > 0})
+    if "flex" in allow:
+        text = f"not simulated: its vertices are {bodies} bodies in all, without elasticity, volume and contact surface"
+        for name in names:
+            source.lose("flex", name, text)
+        return
+    raise SceneError(
+        f"{opened.path.name} has deformable bodies",
+        path=opened.path,
+        expected="rigid bodies (no flex, no flexcomp)",
+        got=f"{len(names)} flex: {shown}, with {bodies} bodies at its vertices",
+        remedy="Take them out of the file, or put rigid bodies in their place; allow=('flex',) (in a scene file allow "
+        '= ["flex"], on the command line --allow flex) runs their vertices as loose bodies without elasticity and '
+        "contact surface",
+    )
 
 
 def _model_name(source: Source) -> str:
@@ -183,7 +210,7 @@ def _note_rest(source: Source) -> None:
     """Note what else the file has and the engine has not."""
     m, option = source.m, source.m.opt
     present: dict[str, Any] = {
-        "density": option.density, "viscosity": option.viscosity, "wind": np.any(option.wind), "flex": m.nflex,
+        "density": option.density, "viscosity": option.viscosity, "wind": np.any(option.wind),
         "skin": m.nskin, "plugin": m.nplugin, "adhesion": m.flg_adhesion, "surface velocity": m.flg_surfacevel,
     }  # fmt: skip
     for name, there in present.items():

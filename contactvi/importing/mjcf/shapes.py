@@ -82,7 +82,7 @@ def _prisms(source: Source, geom: int) -> list[Shape]:
         a, b, d, e = (r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)
         for half, corners in enumerate(((d, a, e), (a, e, b))):
             points = [(x[j], y[i], height) for i, j in corners for height in (z[i, j], -base)]
-            found.append(Shape(f"_{r}_{c}_{half}", hull_of_points(np.array(points), f"{name}_{r}_{c}_{half}")[0]))
+            found.append(Shape(f"_{r}_{c}_{half}", hull_of_points(np.array(points), f"{name}_{r}_{c}_{half}")))
     return found
 
 
