@@ -184,7 +184,6 @@ SCENE = (
     "s.add_box(NEW, SIZE, SOME, FLAG, PLACE, COLOR)",
     "s.add_capsule(NEW, SOME, SOME, SOME, FLAG, PLACE)",
     "s.add_cylinder(NEW, SOME, SOME, SOME, FLAG, PLACE)",
-    "s.add_ellipsoid(NEW, SIZE, SOME, FLAG, PLACE)",
     "s.add_halfspace(POINT, SHARE, NEW, COLOR)",
     "s.set_contact(BODY, BODY, restitution=SHARE, friction=SHARE)",
     "s.set_contact(restitution=SHARE, friction=SHARE)",
@@ -250,6 +249,7 @@ SCENE = (
     "setattr(s, 'q0', Q)",
     "setattr(s, 'v0', V)",
     "s.copy().add_sphere(NEW, SOME)",
+    "s.add_ellipsoid(NEW, SIZE, SOME, FLAG, PLACE)",
 )
 RUN = (
     "traj = cvi.simulate(s, Q, V, LONG, DT, throw=False)",

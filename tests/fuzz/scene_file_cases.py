@@ -66,10 +66,10 @@ def scene(d: Draws) -> dict[str, Any]:
     data["sphere"] = [{"name": "ball", "radius": 0.1, "mass": 1.0, "xyz": [3.0, 0.0, 0.1], **_some(d, {"free": True})}]
     data["box"] = [{"name": "box", "size": [0.2, 0.3, 0.2], "xyz": [0.0, -3.0, 0.15], "color": [1.0, 0.0, 0.0, 1.0]}]
     data["capsule"] = [{"name": "rod", "radius": 0.1, "length": 0.3, "xyz": [-3.0, 0.0, 0.5], "rpy": [1.0, 0.0, 0.0]}]
-    data["ellipsoid"] = [{"name": "egg", "radii": [0.1, 0.2, 0.3], "xyz": [-3.0, 3.0, 0.5], "free": d.chance(70)}]
+    data["ellipsoid"] = [{"name": "egg", "radii": [0.1, 0.2, 0.3], "xyz": [-3.0, 3.0, 0.5]}]
     data["cylinder"] = [{"name": "can", "radius": 0.1, "length": 0.3, "xyz": [3.0, 3.0, 0.2], "free": d.chance(70)}]
     data["halfspace"] = [{"name": "ground", "normal": [0.0, 0.0, 1.0], "offset": 0.0}]
-    for name in ("mjcf", "sphere", "box", "capsule", "cylinder", "ellipsoid", "halfspace"):
+    for name in ("mjcf", "sphere", "box", "capsule", "cylinder", "halfspace"):
         if d.chance(35):
             data.pop(name, None)
     bodies = [data[name][0]["name"] for name in ("sphere", "box", "capsule") if name in data]
