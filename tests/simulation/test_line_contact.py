@@ -1,4 +1,4 @@
-"""Capsules and cylinders that lie on each other: they rest, roll and rock without overlaps and without gaining energy."""
+"""Capsules and cylinders that lie on each other rest, roll and rock without overlaps and without gaining energy."""
 
 from __future__ import annotations
 
