@@ -17,7 +17,7 @@ constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking 
 // Residual of a cone problem that counts as solved: while the iterations go on, and when they have settled. Redundant
 // rows agree only as far as the iterations have come; better impulses would press the points of a body against each
 // other.
-constexpr double kAcceptFirst = 1e-6, kAccept = 3e-8;
+constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
 constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
 constexpr double kShortRim = 1e-9, kShort = 1e-5;    // of a nominal step; see counts_by_rate
 constexpr double kStalled = 1e3;                     // of the convergence limit: iterations that stall below it end

@@ -17,7 +17,7 @@ namespace {
 // Neighbouring faces at a smaller angle [rad] belong to one flat side.
 constexpr double kPlateAngle = 1e-4;
 
-// The largest number of edges and of corners of faces that a feature number (candidates.hpp) can hold.
+// The largest number of edges and of corners of faces that a feature number (contact_features.hpp) can hold.
 constexpr std::size_t kMostEdges = 1u << 19;
 
 Vec3 to_body(const Geometry& g, const Vec3& x) { return g.R_BG * x + g.p_BG; }
