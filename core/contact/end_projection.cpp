@@ -4,13 +4,13 @@
 
 #include "contact/contact_step.hpp"
 #include "contact/delassus.hpp"
+#include "geometry/line_contact.hpp"
 
 namespace contactvi {
 
 namespace {
-constexpr double kClosed = 1e-12;  // [m] below this gap a contact without load takes part in the velocity impulse
-constexpr double kRun = 0.1;     // of the shorter line: how far the one point of two lines may run along them in a step
-constexpr double kSwing = 0.95;  // cosine of the angle by which the contact point of a rim may run around in a step
+constexpr double kClosed = 1e-12;    // [m] below this gap a contact without load takes part in the velocity impulse
+constexpr double kSwing = 0.95;      // cosine of the angle by which the contact point of a rim may run around in a step
 constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 
@@ -277,7 +277,7 @@ bool ContactStep::rim_turns_far() const {
 
 bool ContactStep::runs_along_lines() const {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
-    if (manifolds_->run(contacts_[i].point, node0_.along[i], node1_.along[i]) > kRun) return true;
+    if (manifolds_->run(contacts_[i].point, node0_.along[i], node1_.along[i]) > kMostRun) return true;
   return false;
 }
 

@@ -24,7 +24,7 @@ constexpr double kLeastBend = 1e-3;   // of the second derivative of the distanc
 
 // One of the two lines with its shape, and the other one.
 struct Lying {
-  const ShapeFeatures *shape, *other_shape;
+  const ShapeFeatures* shape;
   const Pose* pose;
   const Line *line, *other;
   int edge, other_edge;
@@ -153,8 +153,7 @@ void list_line_ends(const PairView& v, int i, const Line& a, int j, const Line& 
   if (a.radius + b.radius < kLeastSweep) return;
   const bool along_each_other = a.direction.cross(b.direction).squaredNorm() <= kAlong * kAlong;
   for (bool on_b : {false, true}) {
-    const Lying l =
-        on_b ? Lying{v.b, v.a, &v.pose_b, &b, &a, j, i, true} : Lying{v.a, v.b, &v.pose_a, &a, &b, i, j, false};
+    const Lying l = on_b ? Lying{v.b, &v.pose_b, &b, &a, j, i, true} : Lying{v.a, &v.pose_a, &a, &b, i, j, false};
     if (!l.shape->rims.empty())
       add_rims(v, l, upcoming, sink);
     else if (along_each_other)

@@ -15,6 +15,10 @@ namespace contactvi {
 // Lines whose swept radii add up to less have no side to touch with [m].
 constexpr double kLeastSweep = 1e-6;
 
+// How far the one point of two lines may run along them in a step, of the shorter line: where it runs further, what it
+// is at the start of the step does not predict what it is at the end.
+constexpr double kMostRun = 0.1;
+
 // The nearest points of two lines, not swept; of parallel lines those at an end.
 void nearest_on_lines(const Line& a, const Line& b, Vec3& on_a, Vec3& on_b);
 

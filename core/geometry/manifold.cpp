@@ -66,9 +66,6 @@ constexpr double kStay = 2.0;
 // than the noise of coal's distances and the gaps of contacts that persist.
 constexpr double kOverlap = 2.0, kSameOverlap = 1e-7;
 
-// Of the shorter of two axes: a point that may run along them by more in a step is taken for one of the bodies.
-constexpr double kRuns = 0.1;
-
 // The shapes and features of a pair that a feature number names: `other` lies over face `face` of `plane`.
 struct Parts {
   Feature kind;
@@ -590,7 +587,7 @@ ContactPoint Manifolds::frozen_on_lines(const ContactPoint& point, const Placeme
   const double square = a.direction.cross(b.direction).squaredNorm(), radii = a.radius + b.radius;
   const bool between = s > kBorder && s < a.length - kBorder && t > kBorder && t < b.length - kBorder;
   const double length = std::min(a.length, b.length);
-  if (!between || (turn + moved / length) * radii <= kRuns * length * square) return point;
+  if (!between || (turn + moved / length) * radii <= kMostRun * length * square) return point;
   ContactPoint p = point;
   p.kind = PointKind::kEnd;
   p.on_b = true;

@@ -15,7 +15,8 @@ namespace contactvi {
 namespace {
 constexpr double kShortestSwing =
     1e-9;  // of a contact step: they are halved down to this where a rim falls nearly flat
-constexpr double kShortestRun = 1.0 / 64;  // the same, where a point runs along lines and dense steps can be taken
+constexpr double kShortestRun =
+    1.0 / 64;  // of a contact step, where a point runs along lines: a dense step takes what is shorter
 constexpr double kCountedStep = 1e-3;      // [s]
 constexpr double kDeeper = 1.5;            // of the deepest overlap recorded: a deeper one is recorded
 constexpr double kAtStart = 1e-10;         // of a contact step: an event that is earlier is at its start

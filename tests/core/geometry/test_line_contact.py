@@ -123,26 +123,21 @@ def test_a_line_on_the_end_of_a_cylinder_touches_along_a_chord(kind, swapped):
 
 
 def test_gaps_of_rims_against_lines_are_the_oracles():
+    """The least gap of a rim is that of its circle, which has no rounding against a capsule, to rounding."""
     rng = np.random.default_rng(3)
     two = Two(coal.Cylinder(0.08, 0.1), coal.Capsule(R, LENGTH))
-    rounding = 0.0
     checked = 0
     for _ in range(60):
         a = random_pose(rng, 0.2)
         tilt = turn(rng.normal(size=3), rng.uniform(0.0, 0.05))
         b = a * pose(rng.uniform(-0.05, 0.05), rng.uniform(-0.1, 0.1), 0.05 + R + 0.01, tilt @ LYING)
         found = two.points(a, b, margin=0.05, most=16)
-        for k, kind in enumerate(found["kind"]):
-            if kind != RIM_LINE:
-                continue
-            # A rim with its rounding: the circle that is swept by a small sphere.
-            start, end = axis(b)
-            distances = [
-                lines.circle_and_line(a.act((0.05 - r) * Z), a.rotation @ Z, 0.08 - r, start, end) - R - r
-                for r in (rounding, 1e-3)
-            ]
-            assert found["gap"][k] >= min(distances) - 1e-4
-            checked += 1
+        gaps = [gap for gap, kind in zip(found["gap"], found["kind"], strict=True) if kind == RIM_LINE]
+        if not gaps:
+            continue
+        exact = lines.circle_and_line(a.act(0.05 * Z), a.rotation @ Z, 0.08, *axis(b)) - R
+        assert min(gaps) == pytest.approx(exact, abs=1e-14)
+        checked += 1
     assert checked > 20
 
 
