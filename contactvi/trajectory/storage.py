@@ -49,7 +49,7 @@ contact/step          (c,) int64     index of the step
 contact/kind          (c,) int64     as event/kind
 contact/index         (c,) int64     as event/index
 contact/point         (c,) int64     number of the point within the pair
-contact/feature       (c,) int64     the engine's number of the features that touch there (core/geometry/contact_features.hpp)
+contact/feature       (c,) int64     the engine's number of what touches there (core/geometry/contact_features.hpp)
 contact/mode          (c,) int64     0 stick, 1 slip, 2 frictionless, 3 impact
 contact/dense         (c,) int64     1 for a row of a dense step
 contact/position      (c, 3)         contact point at the end of the step [m], world frame

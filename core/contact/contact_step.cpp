@@ -73,6 +73,7 @@ void ContactStep::set_rows() {
   paradox_.resize(n);
   rows_ = bilateral_ + friction_rows_;
   iterated_ = false;
+  node1_.known = false;  // it was that of other contacts
   for (std::size_t i = 0; i < n; ++i) {
     row_[i] = rows_;
     rows_ += contacts_[i].rows();

@@ -276,6 +276,7 @@ bool ContactStep::rim_turns_far() const {
 }
 
 bool ContactStep::runs_along_lines() const {
+  if (!node1_.known) return false;  // the step has not come to an end
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     if (manifolds_->run(contacts_[i].point, node0_.along[i], node1_.along[i]) > kMostRun) return true;
   return false;
