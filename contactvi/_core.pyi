@@ -370,7 +370,7 @@ class BlockContacts:
     def set_free(self, v_free: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """New data of the same contacts."""
 
-    def solve(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, bound: float = float('inf'), tolerance: float = 1e-08, accept: float = 1e-06, sweeps: int = 50, newton_steps: int = 8, factors: int = 25) -> dict[str, Any]:
+    def solve(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, bound: float = float('inf'), tolerance: float = 1e-08, accept: float = 1e-06, sweeps: int = 50, newton_steps: int = 8, factors: int = 60) -> dict[str, Any]:
         """
         Impulses (rows,) [N s], velocity v (nv,), stage, residual (over the scale [m/s]), violation [m/s], energy [J], free_energy [J], blend, sweeps, factors. start (rows,) [N s]; bound of the energy [J].
         """
@@ -388,7 +388,7 @@ class BlockContacts:
     def solve_weighted(self, K: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], symmetric: bool) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
         """(M + W K W^T)^-1 x with matrices K (3 m, 3) of the contacts, x (nv,)."""
 
-    def seconds(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, bound: float = float('inf'), tolerance: float = 1e-08, accept: float = 1e-06, sweeps: int = 50, newton_steps: int = 8, factors: int = 25, prepare: bool = True, repeats: int = 3) -> float:
+    def seconds(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, bound: float = float('inf'), tolerance: float = 1e-08, accept: float = 1e-06, sweeps: int = 50, newton_steps: int = 8, factors: int = 60, prepare: bool = True, repeats: int = 3) -> float:
         """
         Seconds of one solve, with its preparation or without, the fastest of several.
         """

@@ -13,8 +13,10 @@
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
-#include "cone/block_interior_point.hpp"
+#include "cone/block_factor.hpp"
 #include "cone/block_solver.hpp"
+#include "cone/block_system.hpp"
+#include "cone/interior_point.hpp"
 #include "cone/solver.hpp"
 
 namespace nb = nanobind;
@@ -171,14 +173,16 @@ class BlockContacts {
     if (!system.prepare(problem_) || !system.start(problem_)) return {lambda, 0.0, 0};
     BlockFactor factor;
     factor.analyse(problem_);
-    BlockInteriorPoint interior;
-    BlockPoint point;
+    InteriorPoint<BlockSystem, BlockFactor> interior;
+    ConePoint point;
     point.lambda.assign(problem_.contacts.size(), Vec3::Zero());
     system.update(point);
-    const int used = interior.run(system, factor, {slip.begin(), slip.end()}, 1.0, tolerance, 60, point);
+    const std::vector<double> frozen(slip.begin(), slip.end());
+    point.residual = std::numeric_limits<double>::infinity();
+    const int used = interior.run(system, factor, &frozen, 1.0, tolerance, 60, point);
     for (std::size_t i = 0; i < point.lambda.size(); ++i)
       for (int r = 0; r < problem_.contacts[i].rows; ++r) lambda[problem_.contacts[i].row + r] = point.lambda[i][r];
-    return {lambda, interior.residual(), used};
+    return {lambda, point.residual, used};
   }
   // (M + W K W^T)^-1 x, K (3, 3) per contact.
   VecX solve_weighted(const Rows& K, VecX x, bool symmetric) {

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "cone/block_problem.hpp"
+#include "cone/block_system.hpp"
 
 namespace contactvi {
 
@@ -20,6 +21,9 @@ class BlockFactor {
   // K: per contact, in the upper left corner for one row; symmetric: each K is. False if a pivot is not positive or the
   // numbers are not finite.
   bool factor(const BlockProblem& problem, const std::vector<Mat3>& K, bool symmetric);
+  bool factor(const BlockSystem& system, const std::vector<Mat3>& K, bool symmetric) {
+    return factor(system.problem(), K, symmetric);
+  }
   // x (nv,): right side on entry, solution on return; zero for blocks without a contact. False if it is not finite.
   bool solve(VecX& x);
 

@@ -30,6 +30,14 @@ struct ContactMatrix {
   void finish(double floor, bool single);
 };
 
+// Impulses per contact and the velocity that belongs to them: of the blocks (block_system.hpp) or of the rows
+// (dense_system.hpp).
+struct ConePoint {
+  std::vector<Vec3> lambda;  // (contacts,) [N s]
+  VecX v;
+  double residual = 0.0;  // of the law, over the scale of speeds
+};
+
 inline bool is_box(const BlockContact& c) { return c.box > 0.0; }
 inline bool has_friction(const BlockContact& c) { return c.rows == 3 && c.mu > 0.0; }
 

@@ -15,7 +15,7 @@ constexpr double kShortStep = 0.1;  // below: the linearisation says too little 
 
 }  // namespace
 
-double BlockNewton::merit(const BlockSystem& system, const BlockPoint& point) const {
+double BlockNewton::merit(const BlockSystem& system, const ConePoint& point) const {
   double sum = 0.0;
   for (int c = 0; c < system.contacts(); ++c)
     sum += law_merit(system.contact(c), system.matrix(c).largest, point.lambda[c], system.velocity(c, point.v));
@@ -48,7 +48,7 @@ double BlockNewton::step(const BlockSystem& system, BlockFactor& factor) {
   return 0.0;
 }
 
-int BlockNewton::run(const BlockSystem& system, BlockFactor& factor, int steps, double tolerance, BlockPoint& best) {
+int BlockNewton::run(const BlockSystem& system, BlockFactor& factor, int steps, double tolerance, ConePoint& best) {
   const std::size_t m = static_cast<std::size_t>(system.contacts());
   K_.resize(m);
   change_.resize(m);

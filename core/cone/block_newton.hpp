@@ -15,16 +15,16 @@ class BlockNewton {
  public:
   // At most `steps` from best; the best point with impulses of the cone is in best on return, unless none was better.
   // Stops at the tolerance. Returns the factorizations used.
-  int run(const BlockSystem& system, BlockFactor& factor, int steps, double tolerance, BlockPoint& best);
+  int run(const BlockSystem& system, BlockFactor& factor, int steps, double tolerance, ConePoint& best);
 
  private:
   double step(const BlockSystem& system, BlockFactor& factor);
-  double merit(const BlockSystem& system, const BlockPoint& point) const;
+  double merit(const BlockSystem& system, const ConePoint& point) const;
 
   std::vector<Mat3> K_;
   std::vector<Vec3> change_;  // of the impulses
   VecX velocity_;             // change of the velocities
-  BlockPoint point_, trial_, projected_;
+  ConePoint point_, trial_, projected_;
 };
 
 }  // namespace contactvi

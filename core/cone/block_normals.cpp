@@ -31,7 +31,7 @@ constexpr double kInside = 1.0 + 4.0 * std::numeric_limits<double>::epsilon();
 
 }  // namespace
 
-void BlockNormals::begin(const BlockSystem& system, BlockPoint& point) {
+void BlockNormals::begin(const BlockSystem& system, ConePoint& point) {
   const int m = system.contacts();
   low_.assign(m, 0.0);
   pairs_.resize(m);
@@ -50,7 +50,7 @@ void BlockNormals::begin(const BlockSystem& system, BlockPoint& point) {
   best_residual_ = std::numeric_limits<double>::infinity();
 }
 
-double BlockNormals::evaluate(const BlockSystem& system, const BlockPoint& point) const {
+double BlockNormals::evaluate(const BlockSystem& system, const ConePoint& point) const {
   double worst = 0.0;
   for (int c = 0; c < system.contacts(); ++c) {
     if (is_box(system.contact(c))) continue;
@@ -61,7 +61,7 @@ double BlockNormals::evaluate(const BlockSystem& system, const BlockPoint& point
   return worst / system.scale();
 }
 
-bool BlockNormals::keep(const BlockSystem& system, const BlockPoint& point) {
+bool BlockNormals::keep(const BlockSystem& system, const ConePoint& point) {
   const double residual = evaluate(system, point);
   if (!(residual < best_residual_)) return false;
   best_residual_ = residual;
@@ -70,7 +70,7 @@ bool BlockNormals::keep(const BlockSystem& system, const BlockPoint& point) {
   return true;
 }
 
-void BlockNormals::sweep(const BlockSystem& system, BlockPoint& point) const {
+void BlockNormals::sweep(const BlockSystem& system, ConePoint& point) const {
   for (int c = 0; c < system.contacts(); ++c) {
     if (is_box(system.contact(c))) continue;
     const double w = system.normal_velocity(c, point.v), before = point.lambda[c][0];
@@ -82,7 +82,7 @@ void BlockNormals::sweep(const BlockSystem& system, BlockPoint& point) const {
 }
 
 // Closed contacts (lambda_n - w_n/g > low) get w_n = 0, the others lambda_n = low.
-bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, BlockPoint& point) {
+bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, ConePoint& point) {
   step_.setZero(system.dofs());
   for (int c = 0; c < system.contacts(); ++c) {
     K_[c](0, 0) = 0.0;
@@ -104,7 +104,7 @@ bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, B
 }
 
 int BlockNormals::newton(const BlockSystem& system, BlockFactor& factor, double tolerance, int steps,
-                         BlockPoint& point) {
+                         ConePoint& point) {
   int used = 0, stalled = 0;
   while (used < steps && best_residual_ > tolerance && stalled < kStalled) {
     ++used;
@@ -212,7 +212,7 @@ int BlockNormals::follow_path(const BlockSystem& system, BlockFactor& factor, do
 }
 
 int BlockNormals::run(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations,
-                      BlockPoint& point) {
+                      ConePoint& point) {
   begin(system, point);
   keep(system, point);
   double last = best_residual_;
@@ -247,7 +247,7 @@ int BlockNormals::run(const BlockSystem& system, BlockFactor& factor, double tol
 // Gaps that cannot all be kept, or were not: the answer with a small compliance, from impulses as low as they can be,
 // unless its gaps are worse. point: the best so far, then the better of the two.
 int BlockNormals::soften(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations,
-                         BlockPoint& point) {
+                         ConePoint& point) {
   const double residual = best_residual_;
   best_residual_ = std::numeric_limits<double>::infinity();
   for (int c = 0; c < system.contacts(); ++c)

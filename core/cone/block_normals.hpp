@@ -18,7 +18,7 @@ class BlockNormals {
   // point: start on entry, the answer on return, its tangential impulses inside the friction that its normals allow.
   // tolerance: of the natural map of this problem over the scale of speeds. From a start with few changes some sweeps
   // are enough; else semismooth Newton steps, then an interior point. Returns the factorizations used.
-  int run(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations, BlockPoint& point);
+  int run(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations, ConePoint& point);
   double residual() const { return best_residual_; }
 
  private:
@@ -28,15 +28,15 @@ class BlockNormals {
     double d, dn, ds;  // step; dn without its share of ds
     double corrector;
   };
-  void begin(const BlockSystem& system, BlockPoint& point);
-  void sweep(const BlockSystem& system, BlockPoint& point) const;
-  double evaluate(const BlockSystem& system, const BlockPoint& point) const;
-  bool keep(const BlockSystem& system, const BlockPoint& point);
-  bool newton_step(const BlockSystem& system, BlockFactor& factor, BlockPoint& point);
-  int newton(const BlockSystem& system, BlockFactor& factor, double tolerance, int steps, BlockPoint& point);
+  void begin(const BlockSystem& system, ConePoint& point);
+  void sweep(const BlockSystem& system, ConePoint& point) const;
+  double evaluate(const BlockSystem& system, const ConePoint& point) const;
+  bool keep(const BlockSystem& system, const ConePoint& point);
+  bool newton_step(const BlockSystem& system, BlockFactor& factor, ConePoint& point);
+  int newton(const BlockSystem& system, BlockFactor& factor, double tolerance, int steps, ConePoint& point);
   void start_path(const BlockSystem& system, double tolerance);
   int follow_path(const BlockSystem& system, BlockFactor& factor, double goal, double compliance, int iterations);
-  int soften(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations, BlockPoint& point);
+  int soften(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations, ConePoint& point);
   bool advance(const BlockSystem& system, BlockFactor& factor, double compliance);
   double direction(const BlockSystem& system, BlockFactor& factor, double target, bool corrected);
 
@@ -45,7 +45,7 @@ class BlockNormals {
   std::vector<double> weight_;  // of d s in d n
   std::vector<Mat3> K_;
   VecX step_;
-  BlockPoint best_, trial_;
+  ConePoint best_, trial_;
   double best_residual_ = 0.0, mean_ = 0.0;
 };
 

@@ -6,27 +6,21 @@
 
 #include "base/root.hpp"
 #include "cone/block_factor.hpp"
-#include "cone/block_interior_point.hpp"
 #include "cone/block_newton.hpp"
 #include "cone/block_normals.hpp"
 #include "cone/block_system.hpp"
-#include "cone/slip_speeds.hpp"
+#include "cone/interior_point.hpp"
 
 namespace contactvi {
 
 namespace {
 
 constexpr int kBetweenChecks = 5;      // sweeps
-constexpr int kSweepsAfter = 3;        // an interior point
 constexpr int kConvexIterations = 30;  // factorizations of one convex problem
 constexpr int kNormalIterations = 25;  // and of the normal problem
-constexpr double kConvexStart = 10.0;  // distance from the central path over the residual
-constexpr double kConvexShare = 0.1;   // residual of the convex problem over that of the law
+constexpr double kPathStart = 10.0;    // distance from the central path over the residual
 constexpr double kSafeTolerance = 1e-8;
 constexpr double kRepairTolerance = 1e-9;
-constexpr double kSlow = 0.7;       // share of the residual that is left: above, a round was of little use
-constexpr int kSlowRounds = 4;      // until an answer that can be accepted is
-constexpr double kFarBetter = 0.3;  // residual after Newton's method over that of the interior point: a new start
 // Energies are sums of terms of their own size: equal to this share of it.
 constexpr double kEnergyRounding = 1e-12;
 
@@ -36,10 +30,10 @@ struct BlockSolver::Work {
   BlockSystem system;
   BlockFactor factor;
   BlockNewton newton;
-  BlockInteriorPoint interior;
+  InteriorPoint<BlockSystem, BlockFactor> interior;
   BlockNormals normals;
-  SlipSpeeds slip;
-  BlockPoint point, best, safe;
+  std::vector<double> no_slip;
+  ConePoint point, best, safe;
   VecX free;
   bool prepared = false, analysed = false;
   BlockOptions options;
@@ -47,14 +41,16 @@ struct BlockSolver::Work {
 
   bool start(const BlockProblem& problem, VecCRef lambda);
   BlockFactor& pattern();
+  void begin();
   void note();
   void sweep();
-  bool sweeps();
+  bool sweeps(bool all);
+  bool sweeps_lead_on(double last) const;
   bool polish();
-  bool convex_round(double& last);
-  void interior_points();
+  void interior_point();
+  void last_sweeps();
   void repair();
-  bool gaps_kept(const BlockPoint& p) const { return -system.worst_gap(p.v) <= options.accept * system.scale(); }
+  bool gaps_kept(const ConePoint& p) const { return -system.worst_gap(p.v) <= options.accept * system.scale(); }
   bool within(double energy, double bound) const {
     return energy <= bound + kEnergyRounding * (std::abs(bound) + result.free_energy);
   }
@@ -88,6 +84,14 @@ BlockFactor& BlockSolver::Work::pattern() {
   return factor;
 }
 
+// The start, with impulses of the cones.
+void BlockSolver::Work::begin() {
+  best.residual = std::numeric_limits<double>::infinity();
+  result.stage = BlockResult::Stage::kSweeps;
+  system.project(point);
+  note();
+}
+
 // Computes the residual of the point and keeps the best.
 void BlockSolver::Work::note() {
   point.residual = system.residual(point);
@@ -109,18 +113,26 @@ void BlockSolver::Work::sweep() {
   }
 }
 
-// Stage A. True at the tolerance.
-bool BlockSolver::Work::sweeps() {
-  best.residual = std::numeric_limits<double>::infinity();
-  system.project(point);
-  note();
+// Whether the sweeps that are left reach the tolerance, or what is accepted, at the rate since the residual was `last`.
+bool BlockSolver::Work::sweeps_lead_on(double last) const {
+  const double goal = point.residual > options.accept ? options.accept : options.tolerance;
+  const double checks = static_cast<double>(options.sweeps - result.sweeps) / kBetweenChecks;
+  return point.residual * std::pow(std::min(1.0, point.residual / last), checks) <= goal;
+}
+
+// Stage A, from `point`: as long as the sweeps lead on, or all that are left. True at the tolerance.
+bool BlockSolver::Work::sweeps(bool all) {
+  const double before = best.residual;
+  double last = point.residual;
   while (result.sweeps < options.sweeps && best.residual > options.tolerance) {
     sweep();
     if (result.sweeps % kBetweenChecks != 0) continue;
     system.update(point);
     note();
+    if (!all && !sweeps_lead_on(last)) break;
+    last = point.residual;
   }
-  result.stage = BlockResult::Stage::kSweeps;
+  if (best.residual < before) result.stage = BlockResult::Stage::kSweeps;
   return best.residual <= options.tolerance;
 }
 
@@ -133,35 +145,19 @@ bool BlockSolver::Work::polish() {
   return best.residual <= options.tolerance;
 }
 
-// One convex problem with the slip speeds of `slip`, sweeps, Newton steps.
-bool BlockSolver::Work::convex_round(double& last) {
-  point = best;
-  const double residual = best.residual;
-  result.factors += interior.run(system, pattern(), slip.speeds(), std::min(1.0, kConvexStart * residual),
-                                 std::max(0.3 * options.tolerance, kConvexShare * residual), kConvexIterations, point);
-  note();
-  if (best.residual < residual) result.stage = BlockResult::Stage::kInteriorPoint;
-  const double convex = point.residual;
-  slip.extrapolate(system, point.v);
-  for (int k = 0; k < kSweepsAfter; ++k) sweep();
-  system.update(point);
-  note();
-  if (best.residual <= options.tolerance || polish()) return true;
-  if (best.residual < kFarBetter * convex) slip.restart(system, best.v);
-  last = best.residual;
-  return false;
+// Stage C, with B after it.
+void BlockSolver::Work::interior_point() {
+  const double before = best.residual;
+  result.factors += interior.run(system, pattern(), nullptr, std::min(1.0, kPathStart * before), options.accept,
+                                 options.factors - result.factors, best);
+  if (best.residual < before) result.stage = BlockResult::Stage::kInteriorPoint;
+  if (best.residual > options.tolerance) polish();
 }
 
-// Stage C, with B in between.
-void BlockSolver::Work::interior_points() {
-  slip.restart(system, best.v);
-  double last = best.residual;
-  for (int slow = 0; result.factors < options.factors;) {
-    const double before = last;
-    if (convex_round(last)) return;
-    slow = last > kSlow * before ? slow + 1 : 0;
-    if (slow >= kSlowRounds && best.residual <= options.accept) return;
-  }
+// The sweeps that did not lead on, where nothing else has: slowly they go where other methods stay at the boundary.
+void BlockSolver::Work::last_sweeps() {
+  point = best;
+  if (!sweeps(true)) polish();
 }
 
 // Stage D on `best`.
@@ -175,9 +171,10 @@ void BlockSolver::Work::repair() {
 // contacts without friction.
 void BlockSolver::Work::find_safe(double bound) {
   if (!system.bounded()) {
-    slip.clear(system);
+    no_slip.assign(system.contacts(), 0.0);
     safe = best;
-    result.factors += interior.run(system, pattern(), slip.speeds(), 1.0, kSafeTolerance, kConvexIterations, safe);
+    safe.residual = std::numeric_limits<double>::infinity();
+    result.factors += interior.run(system, pattern(), &no_slip, 1.0, kSafeTolerance, kConvexIterations, safe);
     if (gaps_kept(safe) && within(system.energy(safe.v), bound)) return;
   }
   safe.lambda.assign(system.contacts(), Vec3::Zero());
@@ -230,11 +227,12 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
     return work.result;
   }
   work.options = options;
-  const bool solved = work.sweeps() || work.polish();
-  // With a lower bound of an impulse the law is no complementarity of cones any more, and has no convex problem of
-  // stage C. Where the law is not met but cone, gaps and energy are as they should be, the answer stays: new normal
-  // impulses would only be further from the law.
-  if (!solved && !work.system.bounded() && work.best.residual > options.accept) work.interior_points();
+  const auto accepted = [&] { return work.best.residual <= options.accept; };
+  work.begin();
+  if (!work.sweeps(false) && !work.polish() && !accepted()) work.interior_point();
+  if (!accepted()) work.last_sweeps();
+  // Where the law is not met but cone, gaps and energy are as they should be, the answer stays: new normal impulses
+  // would only be further from the law.
   if (!work.gaps_kept(work.best)) work.repair();
   const double energy = work.system.energy(work.best.v);
   if (!work.within(energy, bound) || !work.gaps_kept(work.best)) work.blend(bound);

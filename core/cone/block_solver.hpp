@@ -3,8 +3,7 @@
 // Stages, each from the best answer so far:
 //   A  Gauss-Seidel sweeps with the exact solution of one contact
 //   B  semismooth Newton steps on the natural map of the whole law
-//   C  a convex interior point with the slip speeds frozen that couple normal and tangential law (de Saxce), repeated
-//      with these speeds extrapolated
+//   C  an interior point method for the whole law, then B again
 //   D  where gaps are not kept: the normal impulses anew for tangential impulses that stay, a convex problem
 //   E  where the answer gains energy: the one between it and a safe one that just does not
 // D and E bound what is returned, not how far it is from the law, which `residual` says.
@@ -19,7 +18,7 @@ namespace contactvi {
 struct BlockOptions {
   double tolerance = 1e-8;  // residual at which the solver stops, relative to the largest free speed of a contact
   double accept = 1e-6;     // residual from which the interior point is not worth its time, and gaps that count as kept
-  int sweeps = 50, newton_steps = 8, factors = 25;  // stage A, B, and of B and C together
+  int sweeps = 50, newton_steps = 8, factors = 60;  // stage A, B, and of B and C together
 };
 
 struct BlockResult {

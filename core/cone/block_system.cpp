@@ -203,18 +203,18 @@ void BlockSystem::push(int c, const Vec3& d, VecX& v) const { add(response_.data
 void BlockSystem::push_normal(int c, double d, VecX& v) const { add(response_.data(), c, 1, Vec3(d, 0.0, 0.0), v); }
 void BlockSystem::pull(int c, const Vec3& d, VecX& f) const { add(problem_->W.data(), c, places_[c].rows, d, f); }
 
-void BlockSystem::update(BlockPoint& point) const {
+void BlockSystem::update(ConePoint& point) const {
   point.v = problem_->v_free;
   for (int c = 0; c < contacts(); ++c)
     if (!point.lambda[c].isZero(0.0)) push(c, point.lambda[c], point.v);
 }
 
-void BlockSystem::project(BlockPoint& point) const {
+void BlockSystem::project(ConePoint& point) const {
   for (int c = 0; c < contacts(); ++c) point.lambda[c] = project_impulse(contact(c), point.lambda[c]);
   update(point);
 }
 
-double BlockSystem::residual(const BlockPoint& point) const {
+double BlockSystem::residual(const ConePoint& point) const {
   double worst = 0.0;
   for (int c = 0; c < contacts(); ++c) {
     const double error = law_error(contact(c), matrix(c).largest, point.lambda[c], velocity(c, point.v));

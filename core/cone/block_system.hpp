@@ -9,13 +9,6 @@
 
 namespace contactvi {
 
-// Impulses per contact and the velocity that belongs to them.
-struct BlockPoint {
-  std::vector<Vec3> lambda;  // (contacts,) [N s]
-  VecX v;                    // (nv,)
-  double residual = 0.0;     // of the law, over the scale of speeds
-};
-
 class BlockSystem {
  public:
   // Reads masses, contacts and W; false if they are not finite, a mass is not positive or the rows do not fit together.
@@ -28,6 +21,7 @@ class BlockSystem {
   const BlockProblem& problem() const { return *problem_; }
   const BlockContact& contact(int c) const { return problem_->contacts[c]; }
   const ContactMatrix& matrix(int c) const { return matrices_[c]; }
+  double largest(int c) const { return matrices_[c].largest; }  // of the diagonal of a contact's own matrix [1/kg]
   // Scale of speeds [m/s], positive: the largest |W^T v_free| in a row, which is g h at rest; where something is asked
   // for, overlaps (-offset) and what lower bounds of impulses move.
   double scale() const { return scale_; }
@@ -43,9 +37,9 @@ class BlockSystem {
   void push_normal(int c, double d, VecX& v) const;
   void pull(int c, const Vec3& d, VecX& f) const;
 
-  void update(BlockPoint& point) const;   // v = v_free + M^-1 W^T lambda
-  void project(BlockPoint& point) const;  // lambda onto the cone, and update
-  double residual(const BlockPoint& point) const;
+  void update(ConePoint& point) const;   // v = v_free + M^-1 W^T lambda
+  void project(ConePoint& point) const;  // lambda onto the cone, and update
+  double residual(const ConePoint& point) const;
   double energy(const VecX& v) const { return 0.5 * product(v, v); }  // kinetic [J]
   double product(const VecX& x, const VecX& y) const;                 // x.M y [J]
   double worst_gap(const VecX& v) const;  // least normal velocity of a contact, at most 0 [m/s]

@@ -43,6 +43,7 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
   const double largest = G.rows() > 0 ? G.diagonal().cwiseAbs().maxCoeff() : 0.0;
   const double smallest = largest > 0.0 ? kSmallestScale * largest : 1.0;
   energy_ = 0.0;
+  const double excused = problem.noise * (kAmplified / kConeTolerance);
   int i = 0;
   for (const ConeContact& c : problem.contacts) {
     const int n = c.row;
@@ -55,7 +56,7 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
       own = std::max({own, t1, t2});
     }
     shift_[i] = own > 0.0 ? std::min(kShift * largest, kLargestShift * own) : kShift * largest;
-    const double speed = std::max(std::abs(problem.b[n]), c.lower * normal_[i]);
+    const double speed = std::max({std::abs(problem.b[n]), c.lower * normal_[i], excused});
     energy_ = std::max(energy_, speed * speed / normal_[i]);
     if (c.rows == 3) energy_ = std::max(energy_, problem.b.segment<2>(n + 1).squaredNorm() / tangent_[i]);
     ++i;

@@ -32,6 +32,7 @@ class NaturalMap {
   bool prepare(const ConeProblem& problem);
   // Replaces G by G + times eps I, eps = 1e-5 max diag G (at most a hundredth of a contact's own diagonal).
   void set_shift(double times) { shift_times_ = times; }
+  double shift_times() const { return shift_times_; }
   double shift(int contact) const { return shift_times_ * shift_[contact]; }
 
   // w = b + (G + shift) lambda and, with sizes, the size of the terms in each row, to which the residual is relative.

@@ -10,8 +10,9 @@ namespace contactvi {
 namespace {
 
 constexpr double kGoal = 16.0 * std::numeric_limits<double>::epsilon();  // residual that is a few rounding errors
-constexpr double kDescent = 1e-4;  // Armijo's share of the predicted decrease of the merit
-constexpr int kHalvings = 12;      // of a Newton step in its line search
+constexpr double kDescent = 1e-4;   // Armijo's share of the predicted decrease of the merit
+constexpr double kContracts = 0.1;  // share of the residual that a step with an old factor may leave
+constexpr int kHalvings = 12;       // of a Newton step in its line search
 
 bool slips(const ConeProblem& problem, const NaturalMap& map) {
   for (int i = 0; i < static_cast<int>(problem.contacts.size()); ++i)
@@ -25,6 +26,8 @@ void ConeNewton::reserve(int rows) {
   if (static_cast<int>(w_.size()) >= rows) return;
   linear_.reserve(rows);
   unknowns_.resize(rows);
+  factor_unknowns_.resize(rows);
+  forget();
   for (auto* v : {&w_, &next_, &next_w_, &trial_, &trial_w_, &product_, &delta_, &weight_}) v->resize(rows);
 }
 
@@ -103,7 +106,17 @@ inline void add_column(int m, const double* __restrict g, double a, bool first, 
     for (int i = 0; i < m; ++i) product[i] += a * g[i];
 }
 
-// Fills the matrix and the right side of the unknowns; next_w_ is the velocity at next_.
+// The right side of the unknowns, in delta_; next_w_ is the velocity at next_.
+void ConeNewton::right_side() {
+  for (int j = 0; j < count_; ++j) {
+    const Unknown& u = unknowns_[j];
+    double rest = tested(u, next_w_.data());
+    if (u.diagonal != 0.0) rest += u.diagonal * delta_[j];
+    delta_[j] = -rest;
+  }
+}
+
+// Fills the matrix of the unknowns.
 void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
   const int m = static_cast<int>(problem.b.size());
   linear_.resize(count_);
@@ -124,22 +137,67 @@ void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
     weight_[j] = std::sqrt(norm);
     for (int i = 0; i < count_; ++i) linear_.at(i, j) = tested(unknowns_[i], product);
     linear_.at(j, j) += u.diagonal;
-    double rest = tested(u, next_w_.data());
-    if (u.diagonal != 0.0) rest += u.diagonal * delta_[j];
-    delta_[j] = -rest;
   }
 }
 
+bool ConeNewton::same_unknowns() const {
+  if (factor_ == Factor::kNone || factor_count_ != count_) return false;
+  for (int j = 0; j < count_; ++j)
+    if (factor_unknowns_[j] != unknowns_[j].kind()) return false;
+  return true;
+}
+
+void ConeNewton::remember_unknowns(const NaturalMap& map) {
+  factor_shift_ = map.shift_times();
+  factor_count_ = count_;
+  for (int j = 0; j < count_; ++j) factor_unknowns_[j] = unknowns_[j].kind();
+}
+
 // Turns delta_ from the right side into the step. False: the matrix is singular, and that ends the run.
-bool ConeNewton::solve(Singular singular) {
+bool ConeNewton::solve(const ConeProblem& problem, const NaturalMap& map, Singular singular) {
   if (count_ == 0) return true;
-  if (linear_.factor()) {
+  const bool known = factor_ == Factor::kSingular && factor_shift_ == map.shift_times() && same_unknowns();
+  const bool was_singular = known || (count_ > problem.freedoms && map.shift_times() == 0.0);
+  if (was_singular && singular == Singular::kStop) {
+    factor_ = Factor::kNone;
+    return false;
+  }
+  ++factors_;
+  assemble(problem, map);
+  remember_unknowns(map);
+  factor_ = Factor::kRegular;
+  if (!was_singular && linear_.factor()) {
     linear_.substitute(delta_.data());
     return true;
   }
+  factor_ = Factor::kNone;
   if (singular == Singular::kStop) return false;
   linear_.minimum_norm(weight_.data(), delta_.data());
+  factor_ = Factor::kSingular;
   return true;
+}
+
+// The same with the last factor.
+void ConeNewton::solve_again() {
+  if (factor_ == Factor::kRegular)
+    linear_.substitute(delta_.data());
+  else
+    linear_.minimum_norm_again(delta_.data());
+}
+
+// From next_, which obeys what the modes fix, to the step's end.
+void ConeNewton::add_step() {
+  for (int j = 0; j < count_; ++j) {
+    const Unknown& u = unknowns_[j];
+    for (int i = 0; i < u.rows; ++i) next_[u.row + i] += u.column[i] * delta_[j];
+  }
+}
+
+// Undoes a step: the point before it is in product_.
+void ConeNewton::take_back(const ConeProblem& problem, NaturalMap& map, double* lambda) {
+  std::copy_n(product_.data(), problem.b.size(), lambda);
+  map.velocity(problem, lambda, w_.data());
+  map.evaluate(problem, lambda, w_.data());
 }
 
 // Line search from lambda towards next_. On success lambda and w_ are the new point, evaluated by map.
@@ -178,26 +236,34 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
   map.velocity(problem, lambda, w_.data());
   map.evaluate(problem, lambda, w_.data());
   residual_ = map.residual();
-  bool from_nothing = singular == Singular::kLeastImpulses && !slips(problem, map);
+  bool from_nothing = singular == Singular::kLeastImpulses && !slips(problem, map), anew = false;
   for (int k = 0; k < max_iterations; ++k) {
     // A start may solve the problem already; where singular matrices are to be found, one is factored all the same.
     if (residual_ <= kGoal && (k > 0 || singular == Singular::kMinimumNorm)) break;
     build(problem, map, lambda, from_nothing);
     map.velocity(problem, next_.data(), next_w_.data(), false);
-    assemble(problem, map);
+    right_side();
     ++iterations_;
-    if (!solve(singular)) {
+    const bool again = count_ > 0 && !anew && singular != Singular::kStop && !from_nothing &&
+                       factor_shift_ == map.shift_times() && same_unknowns();
+    anew = false;
+    if (again) {
+      solve_again();
+    } else if (!solve(problem, map, singular)) {
       singular_ = true;
       break;
     }
     if (residual_ <= kGoal && singular == Singular::kStop) break;
-    for (int j = 0; j < count_; ++j) {
-      const Unknown& u = unknowns_[j];
-      for (int i = 0; i < u.rows; ++i) next_[u.row + i] += u.column[i] * delta_[j];
-    }
+    add_step();
     const double before = residual_;
     std::copy_n(lambda, problem.b.size(), product_.data());
     const bool moved = search(problem, map, lambda);
+    if (again && !(moved && map.residual() <= std::max(kGoal, kContracts * before))) {
+      take_back(problem, map, lambda);
+      --visited_;
+      anew = true;
+      continue;
+    }
     if (!moved && !from_nothing) break;
     from_nothing = false;
     if (!moved) {
@@ -208,10 +274,8 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
     // Where the residual hardly falls any more it is rounding.
     if (before <= kConeTolerance && residual_ > 0.25 * before) {
       if (residual_ > before) {
-        std::copy_n(product_.data(), problem.b.size(), lambda);
         residual_ = before;
-        map.velocity(problem, lambda, w_.data());
-        map.evaluate(problem, lambda, w_.data());
+        take_back(problem, map, lambda);
       }
       break;
     }

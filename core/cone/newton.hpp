@@ -25,7 +25,11 @@ class ConeNewton {
 
   double residual() const { return residual_; }
   int iterations() const { return iterations_; }  // of all runs since reset()
-  void reset() { iterations_ = 0; }
+  int factors() const { return factors_; }        // of them those with a new factor
+  void reset() { iterations_ = factors_ = 0; }
+  // Until forget() is called problems follow each other whose matrices are nearly the same: a step whose unknowns are
+  // those of the last factor is tried with it.
+  void forget() { factor_ = Factor::kNone; }
   bool singular() const { return singular_; }  // a singular matrix ended the last run (kStop)
 
  private:
@@ -36,24 +40,39 @@ class ConeNewton {
     double column[3], test[3];
     double diagonal;
     int single;  // the only row that is tested, by 1; -1: there are more
+    int kind() const { return 16 * row + 4 * rows + 1 + single - 3 * (column[0] != 0.0 && rows == 3); }
   };
 
+  // How the last matrix was factored, for which shift, and its unknowns.
+  enum class Factor { kNone, kRegular, kSingular };
+
   static double tested(const Unknown& u, const double* w);
+  bool same_unknowns() const;
+  void add_step();
+  void remember_unknowns(const NaturalMap& map);
+  void right_side();
   void build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing);
   void assemble(const ConeProblem& problem, const NaturalMap& map);
-  bool solve(Singular singular);
+  bool solve(const ConeProblem& problem, const NaturalMap& map, Singular singular);
+  void solve_again();
+  void take_back(const ConeProblem& problem, NaturalMap& map, double* lambda);
   bool search(const ConeProblem& problem, NaturalMap& map, double* lambda);
 
   SmallLinear linear_;
   std::vector<Unknown> unknowns_;
   int count_ = 0;
-  std::vector<double> w_, next_, next_w_, trial_, trial_w_;  // velocity at lambda; at the step's end; of a trial
+  std::vector<double> w_, next_, next_w_, trial_,
+      trial_w_;  // velocity at lambda; at the step's end; of a trial
   std::vector<double> product_, delta_, weight_;
   static constexpr int kMemory = 4;
   double past_[kMemory] = {};  // merits of the last points
   int visited_ = 0;            // points of this run
   double residual_ = 0.0;
-  int iterations_ = 0;
+  int iterations_ = 0, factors_ = 0;
+  Factor factor_ = Factor::kNone;
+  double factor_shift_ = 0.0;
+  std::vector<int> factor_unknowns_;
+  int factor_count_ = 0;
   bool singular_ = false;
 };
 

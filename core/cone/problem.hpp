@@ -8,6 +8,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <limits>
 #include <vector>
 
 #include "base/numerics.hpp"
@@ -38,13 +39,16 @@ struct ConeProblem {
   double rough = 0.0;
   // Residual that is good enough: where Newton's method ends below it no other starts are tried.
   double accept = kConeTolerance;
+  // Degrees of freedom that the rows act on: the rank of G is no larger.
+  int freedoms = std::numeric_limits<int>::max();
 };
 
 struct ConeResult {
   bool ok = false;        // residual <= kConeTolerance
   double residual = 0.0;  // natural map, relative (natural_map.hpp); infinity for data that is not finite
   int iterations = 0;     // Newton steps, of all starts
-  int fallbacks = 0;      // start values that Gauss-Seidel or ADMM had to find
+  int factors = 0;        // of them those with a new factor of the matrix
+  int fallbacks = 0;      // start values that the interior point method had to find
 };
 
 }  // namespace contactvi

@@ -13,15 +13,18 @@ namespace {
 // Newton steps at most: in general, without shift, and from the last solution.
 constexpr int kIterations = 40, kIterationsPlain = 20, kIterationsWarm = 12;
 constexpr double kDisagree = 1e-3;  // residual up to which the direct solution of an immobile contact is accepted
-// Gauss-Seidel sweeps at most: for a start after a failure, and for one within plain().
-constexpr int kSeidelSweeps = 200, kFewSweeps = 30;
+// Of the interior point method, from which Newton's method starts again where it stalled: its iterations at most, the
+// residual at which it ends (of the largest free speed), and its start on the central path over the residual there.
+constexpr int kPathIterations = 60;
+constexpr double kPathEnd = 1e-10, kPathStart = 100.0;
 
 }  // namespace
 
 void ConeSolver::reserve(int rows) {
   map_.reserve(rows);
   newton_.reserve(rows);
-  fallback_.reserve(rows);
+  system_.reserve(rows);
+  factor_.reserve(rows);
   if (static_cast<int>(start_.size()) >= rows) return;
   for (auto* v : {&start_, &best_, &w_}) v->resize(rows);
 }
@@ -62,17 +65,8 @@ bool ConeSolver::shifted(const ConeProblem& problem, double* lambda) {
 // contact that touches without load.
 bool ConeSolver::plain(const ConeProblem& problem, double* lambda) {
   map_.set_shift(0.0);
-  for (bool after_seidel : {false, true}) {
-    if (after_seidel) {
-      ++result_.fallbacks;
-      std::fill_n(lambda, problem.b.size(), 0.0);
-      fallback_.gauss_seidel(problem, map_, kFewSweeps, lambda);
-    }
-    if (newton_.run(problem, map_, ConeNewton::Singular::kStop, after_seidel ? kIterations : kIterationsPlain, lambda))
-      return !newton_.singular() && !map_.touching();
-    if (newton_.singular()) return false;
-  }
-  return false;
+  return newton_.run(problem, map_, ConeNewton::Singular::kStop, kIterationsPlain, lambda) && !newton_.singular() &&
+         !map_.touching();
 }
 
 bool ConeSolver::attempt(const ConeProblem& problem, bool regularize, double* lambda) {
@@ -98,42 +92,22 @@ bool ConeSolver::keep_better(double* lambda, int rows) {
   return result_.residual <= kConeTolerance;
 }
 
-bool ConeSolver::may_rescue(const ConeProblem& problem) {
+// Newton's method from where an interior point method leads.
+bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lambda) {
   // A contact that goes on slipping in a given direction may have no solution (Painleve's paradox): the caller frees
   // it.
-  for (const ConeContact& c : problem.contacts)
-    if (c.frozen && c.rows == 3) return false;
-  const int rows = static_cast<int>(problem.b.size());
-  if (rows <= kFew) return true;
-  const double square = static_cast<double>(rows) * rows;
-  if (square > rescues_left_) {
-    gave_up_ = true;
-    return false;
-  }
-  rescues_left_ -= square;
-  return true;
-}
-
-bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lambda) {
-  const int m = static_cast<int>(problem.b.size());
-  for (bool shift : {true, false}) {
-    if (shift && !regularize) continue;
-    for (bool by_seidel : {true, false}) {
-      ++result_.fallbacks;
-      map_.set_shift(shift ? 1.0 : 0.0);
-      std::fill_n(lambda, m, 0.0);
-      if (by_seidel)
-        fallback_.gauss_seidel(problem, map_, kSeidelSweeps, lambda);
-      else
-        fallback_.admm(problem, map_, lambda);
-      if (shift) newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
-      map_.set_shift(0.0);
-      newton_.run(problem, map_, shift ? ConeNewton::Singular::kLeastImpulses : ConeNewton::Singular::kMinimumNorm,
-                  kIterations, lambda);
-      if (keep_better(lambda, m)) return true;
-    }
-  }
-  return false;
+  if (!system_.start(problem)) return false;
+  ++result_.fallbacks;
+  system_.read(best_.data(), point_);
+  system_.project(point_);
+  point_.residual = system_.residual(point_);
+  interior_.run(system_, factor_, nullptr, std::min(1.0, kPathStart * point_.residual), kPathEnd, kPathIterations,
+                point_);
+  system_.write(point_, lambda);
+  map_.set_shift(0.0);
+  using Singular = ConeNewton::Singular;
+  newton_.run(problem, map_, regularize ? Singular::kLeastImpulses : Singular::kMinimumNorm, kIterations, lambda);
+  return keep_better(lambda, static_cast<int>(problem.b.size()));
 }
 
 // Takes away what Newton's method leaves of the impulses of contacts that the law opens: it is less than the solution
@@ -169,6 +143,7 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
   result_ = ConeResult();
   reserve(m);
   newton_.reset();
+  if (regularize) newton_.forget();
   if (lambda.size() != m || !map_.prepare(problem)) {
     lambda.setZero();
     result_.residual = std::numeric_limits<double>::infinity();
@@ -182,12 +157,13 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     attempt(problem, regularize, lambda.data());
     if (newton_.residual() <= kConeTolerance) clear_open(problem, lambda.data());
     result_.ok = keep_better(lambda.data(), m);
-    if (!(result_.residual <= std::max(problem.accept, kConeTolerance)) && may_rescue(problem))
+    if (!(result_.residual <= std::max(problem.accept, kConeTolerance)))
       result_.ok = rescue(problem, regularize, lambda.data());
     std::copy_n(best_.data(), m, lambda.data());
     if (!result_.ok) keep_in_cones(problem, lambda.data());
   }
   result_.iterations = newton_.iterations();
+  result_.factors = newton_.factors();
   return result_;
 }
 

@@ -162,10 +162,11 @@ ConeContact ContactStep::joint_friction_cone(int k, double bound) const {
 bool ContactStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
                              VecX& lambda, bool regularize, const Agreement& agreement) {
   const auto [rough, accept] = agreement;
-  if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough, accept}, lambda, regularize);
+  if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough, accept, scene_->tree.nv}, lambda, regularize);
   const VecX& right = reduction_.right_side(b);
   rest_ = lambda.tail(right.size());
-  if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise, rough, accept}, rest_, regularize))
+  if (right.size() > 0 &&
+      !solve_cone({cones, reduction_.matrix(), right, noise, rough, accept, scene_->tree.nv}, rest_, regularize))
     return false;
   // Friction of a joint whose motion the constraints determine: it acts in full, and the constraints bear it.
   for (std::size_t i = 0; i < reduction_.idle().size(); ++i) {

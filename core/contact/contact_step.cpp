@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "contact/delassus.hpp"
+#include "contact/step_costs.hpp"
 
 namespace contactvi {
 
@@ -18,6 +19,7 @@ constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking 
 // rows agree only as far as the iterations have come; better impulses would press the points of a body against each
 // other.
 constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
+constexpr double kAcceptShare = 1e-2;                // of the last change of the velocities, relative: in between
 constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
 constexpr double kShortRim = 1e-9, kShort = 1e-5;    // of a nominal step; see counts_by_rate
 constexpr double kStalled = 1e3;                     // of the convergence limit: iterations that stall below it end
@@ -228,6 +230,7 @@ bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regu
   const ConeResult result = solver_.solve(problem, lambda, regularize);
   ++counters.problems;
   counters.iterations += result.iterations;
+  counters.cost += result.factors * costs::cone_iteration(static_cast<double>(lambda.size()));
   counters.fallbacks += result.fallbacks;
   residual_ = result.ok ? 0.0 : result.residual;
   return residual_ <= problem.accept;
@@ -242,18 +245,27 @@ void ContactStep::set_initial_impulses(double h) {
     joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? node0_.q[joint.iq] : 0.0;
 }
 
+// Whether an impulse along the normal at the start of the step closes the same contact at its end: the point of a rim
+// that passes through the plane's parallel is then on the other side, and no impulse at the start keeps the gap.
+bool ContactStep::turns_over() const {
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    if (!(G_(row_[i], row_[i]) > 0.0) && node0_.W.col(row_[i]).squaredNorm() > 0.0) return true;
+  return false;
+}
+
 bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
   start_node(q0);
   integrator_.begin(q0, h, tau, v);
   set_initial_impulses(h);
   double best = INFINITY;
   int idle = 0;
-  double last = INFINITY;
+  double last = INFINITY, relative = INFINITY;
   bool settled = false;
   // Of the rows, as a velocity.
   const double noise = (bilateral_ > 0 || iterated_ ? kLargerRounding : kGapRounding) / h;
   for (int k = 0; k < kMaxIterations; ++k) {
     ++counters.contact_iterations;
+    counters.cost += costs::contact_iteration(rows_);
     p_start_ = p0;
     p_start_.noalias() += node0_.W * lambda_;
     const double stage_change = integrator_.iterate(p_start_, k == 0, k == 0);
@@ -267,12 +279,17 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     if (!y_.allFinite()) break;
     if (!settled) {
       delassus(S_, DinvW_, G_);
+      if (turns_over()) {
+        why_ = "a contact point moves to the other side of a body within the step";
+        return false;
+      }
       if (bilateral_ > 0) reduction_.set(G_, bilateral_, friction_rows_);
     }
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
-    const Agreement agreement = settled ? Agreement{kAgree, kAccept} : Agreement{kAgreeFirst, kAcceptFirst};
+    const Agreement agreement = settled ? Agreement{kAgree, std::clamp(kAcceptShare * relative, kAccept, kAcceptFirst)}
+                                        : Agreement{kAgreeFirst, kAcceptFirst};
     const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0, agreement);
     if (k == 0) find_paradox(v);
     if (!solved) {
@@ -285,7 +302,8 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     const double size = 1.0 + v_.cwiseAbs().maxCoeff(), change = std::max(stage_change, dv_.cwiseAbs().maxCoeff());
     if (!std::isfinite(change)) break;
     const double floor = std::max(kRounding, noise) * size, most_left = std::max(kRounding, kShare * noise) * size;
-    settled = change < kSettled * size;
+    relative = change / size;
+    settled = relative < kSettled;
     // The change of the next iteration is estimated by the contraction rate, at first by that of an earlier step.
     if (k == 1) note_contraction(change, last, floor);
     const double theta = k > 0 ? std::max(kBest, change / last) : kRemembered * std::max(kBest, contraction_);
@@ -358,6 +376,7 @@ bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const Ve
   start_joint_friction(v_start_);
   h_ = h;
   ++counters.steps;
+  counters.cost += costs::contact_step();
   forget_parts();
   if (!iterate(q0, p0, h, tau, guess_) || !velocity_impulses()) return false;
   part_velocities_.add(0.0, v_start_);

@@ -32,6 +32,7 @@ namespace contactvi {
 
 struct ContactStepCounters {
   long steps = 0, contact_iterations = 0, problems = 0, iterations = 0, fallbacks = 0;
+  double cost = 0.0;  // of all of it (step_costs.hpp)
 };
 
 class ContactStep final : public Stepper {
@@ -50,9 +51,6 @@ class ContactStep final : public Stepper {
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // Nominal length of a step [s], over which errors of the constraints are corrected.
   void set_nominal(double h) { nominal_h_ = h; }
-  // See ConeSolver::allow_rescues.
-  void allow_rescues(double squares) { solver_.allow_rescues(squares); }
-  bool gave_up() const { return solver_.gave_up(); }
   // To be called after contacts were added or released, or if the state is not the end of the last step.
   void invalidate() {
     node0_.known = follows_ = false;
@@ -199,6 +197,7 @@ class ContactStep final : public Stepper {
                   const Vec3& t1) const;
   Vec3 position_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
+  bool turns_over() const;
   void note_contraction(double second, double first, double rounding);
   void start_forces();
   void forget_parts();

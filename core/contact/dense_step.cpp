@@ -32,7 +32,7 @@ constexpr double kEnergyShare = 1e-8;  // of the kinetic energy: smaller gains a
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
 // inside of it; where none do the sweeps and Newton's method reach 1e-8.
 constexpr double kLawAccepted = 1e-4, kLawSolved = 1e-8;
-constexpr int kLawFactors = 12;
+constexpr int kLawFactors = 60;
 constexpr double kUsualTolerance = 1e-12;  // of steps, to which these belong
 // Of the solutions that are asked for at the least: beyond it rounding decides.
 constexpr double kClosest = 1e-3;

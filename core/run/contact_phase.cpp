@@ -17,7 +17,6 @@ constexpr double kShortestSwing =
     1e-9;  // of a contact step: they are halved down to this where a rim falls nearly flat
 constexpr double kShortestRun =
     1.0 / 64;  // of a contact step, where a point runs along lines: a dense step takes what is shorter
-constexpr double kCountedStep = 1e-3;      // [s]
 constexpr double kDeeper = 1.5;            // of the deepest overlap recorded: a deeper one is recorded
 constexpr double kAtStart = 1e-10;         // of a contact step: an event that is earlier is at its start
 constexpr double kEnergyRounding = 1e-12;  // of the energies
@@ -38,7 +37,6 @@ bool Simulator::retry_contact_step(double h, double time) {
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with persistent contacts was not solved: ") +
                    (*contact_step_.why() != 0 ? contact_step_.why() : "an event in it was not located"));
-  state_.dense.events.contact_halvings += runs ? 0 : 1;
   state_.control.halve_contact(h);
   contact_step_.invalidate();
   return true;
@@ -190,11 +188,6 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   const double whole = interval.remaining / parts;
   const double h = std::min(whole, state_.control.contact.longest);
   record_phase(at, nominal, StepKind::kPersistent, recording);
-  // What counts are the steps that events cost beyond the ones asked for: a step counts as the part of it that is not
-  // taken. Adaptive contact steps are short for accuracy, which says nothing about events: each counts as its part of
-  // the step that the limit is meant for.
-  const double counts = truncation_.bound > 0.0 ? std::min(1.0, nominal / kCountedStep) : 1.0;
-  state_.dense.events.contact_parts += counts;
   contact_step_.set_nominal(nominal);
   double alpha = 1.0;
   bool hit = false, again = false;
@@ -219,7 +212,6 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     state_.work.add(contact_step_);
     if (options_.gradient) keep_contact_step(h == whole ? 1.0 / parts : 0.0, hit, alpha < 1.0);
     accept_contact_step(at, taken, options_.dense, recording);
-    state_.dense.events.contact_parts -= counts * std::min(1.0, taken / std::min(nominal, interval.length));
     interval.done += taken;
     interval.remaining =
         alpha >= 1.0 && h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;

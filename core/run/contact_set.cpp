@@ -182,17 +182,18 @@ void ContactSet::release_unloaded(int forced, const VecX& tau) {
   }
 }
 
-bool ContactSet::close_contacts_at_start(int most_rows) {
+bool ContactSet::close_contacts_at_start(const std::function<bool(int, int)>& pay) {
   std::vector<int> touching;
   for (int g = 0; g < guards_->count(); ++g)
     if (finder_->touching(g)) touching.push_back(g);
   if (touching.empty() || !sequence_->collect(run_->q, run_->p, run_->time, touching, -1, {})) return true;
-  int rows = 0;
+  int rows = 0, points = 0;
   for (int i = 0; i < sequence_->count(); ++i) {
     const ClosedGuard& c = sequence_->closed(i);
+    points += c.count;
     rows += c.mu > 0.0 ? 3 * c.count : c.count;
   }
-  if (rows > most_rows) return false;
+  if (!pay(rows, points)) return false;
   Recording start;
   close_contacts(-1, run_->time, VecX(), start);
   run_->initial_changes = start.changes;

@@ -1,6 +1,8 @@
 // The set of persistent contacts: which closed points persist after an event, and when a contact is dropped.
 #pragma once
 
+#include <functional>
+
 #include "contact/contact_step.hpp"
 #include "contact/dense_step.hpp"
 #include "event/finder.hpp"
@@ -23,9 +25,9 @@ class ContactSet {
   // The set after an event whose closed guards are in the sequence: points that neither close nor separate, and those
   // of the guard `forced` (-1: none).
   void close_contacts(int forced, double time, const VecX& tau, Recording& recording);
-  // The set at the start of a run: guards that touch and do not separate. False, with no contacts, if they touch in
-  // more points than that.
-  bool close_contacts_at_start(int most_rows);
+  // The set at the start of a run: guards that touch and do not separate. pay: whether so many rows and points are
+  // worth steps with persistent contacts. False, with no contacts, if they are not.
+  bool close_contacts_at_start(const std::function<bool(int, int)>& pay);
   // Finds the contact points again at a node, because those of faces change as bodies slide on each other. Returns a
   // guard whose points have changed, -1: none.
   int find_points(double time, Recording& recording);

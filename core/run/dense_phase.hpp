@@ -1,6 +1,8 @@
 // When a run takes dense steps instead of locating events: the counts by which it decides, as a value.
 #pragma once
 
+#include <algorithm>
+
 namespace contactvi {
 
 // Which steps a run takes where bodies touch. The numbers are those of the option of the Python API.
@@ -10,18 +12,18 @@ enum class ContactSteps : int {
   kDense = 2,   // dense steps alone
 };
 
-// What has accumulated. The counts fade, so that a burst and a rate that lasts are bounded by the same limits.
-struct EventCount {
-  double coupled_impacts = 0;  // at instants with several closed contacts
-  double changes = 0;          // begins and releases of persistent contacts
-  double contact_parts = 0;    // steps with persistent contacts beyond those asked for
-  int contact_halvings = 0;    // of steps with persistent contacts that were not solved, in the interval under way
+// What steps with persistent contacts, and impacts at instants with several closed contacts, have cost lately [us of
+// step_costs.hpp]. It fades.
+struct LocatedCost {
+  static constexpr double kMemory = 5e-3;  // [s] after which half of it is forgotten
+  double spent = 0.0;
 
-  bool none() const { return coupled_impacts + changes + contact_parts + contact_halvings == 0.0; }
   // An interval of this length [s] begins.
-  void fade(double length);
+  void fade(double length) { spent /= 1.0 + length / kMemory; }
+  // What it comes to in the end if it is `rate` in every interval of this length.
+  static double lasting(double rate, double length) { return rate * (1.0 + kMemory / length); }
   // Of bodies that meet.
-  void join(const EventCount& other);
+  void join(const LocatedCost& other) { spent = std::max(spent, other.spent); }
 };
 
 struct DensePhase {
@@ -33,7 +35,7 @@ struct DensePhase {
   int wanted = 0;         // quiet steps after which events are located again; 0: there were no dense steps yet
   long since_return = 0;  // steps since then
   double longest = 0;     // the next step to try [s]: twice the last one; 0: to the end of the interval
-  EventCount events;
+  LocatedCost located;
 
   // Dense steps from here on; after twice as many quiet steps as the last time where that was not long ago.
   void begin();

@@ -1,9 +1,8 @@
 // Simulator: dense steps, and the decision between them and located events.
 //
-// Events are given up where they accumulate: too many impacts at instants with several
-// closed contacts, too many changes of the persistent contacts, too many parts of steps; and where the run would end
-// because an event or the forces of persistent contacts are not found. They are located again after a number of quiet
-// steps, which doubles each time that they accumulate again soon.
+// Events are given up where locating them costs more than dense steps by far, and where the run would end because an
+// event or the forces of persistent contacts are not found. They are located again after a number of quiet steps, which
+// doubles each time that they accumulate again soon.
 #include "run/dense_phase.hpp"
 
 #include <algorithm>
@@ -15,29 +14,15 @@
 namespace contactvi {
 
 namespace {
-// Limits of what may have happened to an island lately, for intervals of a millisecond; longer ones have them in
-// proportion. They bound the time that a step takes, and lie twice above what a grasp needs
-// (tests/simulation/test_hand_scene.py).
-constexpr double kCounted = 1e-3;                                 // [s]
-constexpr double kMemory = 5e-2;                                  // [s] after which half of a count is forgotten
-constexpr double kCoupledImpacts = 1024, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
-constexpr double kChanges = 3072, kChangesPerContact = 4;         // begins and releases of persistent contacts
-constexpr double kContactParts = 1024;  // steps with persistent contacts beyond those asked for
-constexpr double kRescues = 2000;  // sum of the squares of the rows of contact problems in which slow methods are tried
-// Larger islands have lower limits, as the square of their degrees of freedom: an event costs that much more there.
-constexpr double kSmall = 24;
-constexpr int kContactHalvings = 30;  // of steps with persistent contacts that were not solved
-// Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
-// without impacts, is far cheaper, since the matrix of the contact step is full.
-constexpr int kMostPersistent = 72;
+// Locating events may cost as many times what dense steps of the same length cost: it tells more about the motion.
+constexpr double kDearer = 3.0;
+constexpr double kBurst = 2e4;     // [us] that a single burst of events may cost besides: some tens of a second's grasp
+constexpr double kCounted = 1e-3;  // [s] length of the dense steps that count, unless those of contact are shorter
 constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-
-// What the limits are multiplied by in an interval of this length [s].
-double times(double length) { return std::max(1.0, length / kCounted); }
 
 }  // namespace
 
@@ -46,34 +31,22 @@ bool Simulator::allows_dense_steps() const {
   return options_.contact_steps != ContactSteps::kEvents && dense_step_.available() && allows_persistent_contact();
 }
 
-int Simulator::persistent_rows() const {
-  int rows = 0;
-  for (const PersistentContact& c : contact_step_.contacts()) rows += c.rows();
-  return rows;
+// What is held by constraints or joint friction alone has no other steps.
+void Simulator::note_located(double cost) {
+  if (!contact_step_.contacts().empty() || sequence_.count() > 0) state_.dense.located.spent += cost;
 }
 
-// Rows of persistent contacts at most, of a run with located events.
-int Simulator::most_persistent() const {
-  return allows_dense_steps() ? kMostPersistent : std::numeric_limits<int>::max();
+// Whether contacts with so many rows and points are worth steps with events, if nothing happens to them.
+bool Simulator::locating_pays(int rows, int points) const {
+  return !allows_dense_steps() || costs::quiet_contact_step(rows) <= kDearer * dense_cost_.step(points);
 }
 
-// How much slow methods may be tried in the contact problems of an interval: the sum of the squares of their rows.
-double Simulator::most_rescues(double length) const {
-  return allows_dense_steps() ? times(length) * kRescues : std::numeric_limits<double>::infinity();
-}
-
+// Whether locating the events has lately cost more than dense steps by far.
 bool Simulator::events_accumulate(double length) const {
-  if (contact_step_.contacts().empty() && state_.dense.events.none()) return contact_step_.gave_up();
-  const double contacts =
-      static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
-  const double small = std::min(1.0, kSmall / std::max(1, scene_->tree.nv));
-  // With adaptive steps a smooth step, in which events begin to accumulate, says nothing about how many there may be.
-  const double more = times(truncation_.bound > 0.0 ? std::min(length, contact_dt()) : length) * small * small;
-  const EventCount& count = state_.dense.events;
-  return count.coupled_impacts > more * (kCoupledImpacts + kImpactsPerContact * contacts) ||
-         count.changes > more * (kChanges + kChangesPerContact * contacts) ||
-         count.contact_parts > more * kContactParts || count.contact_halvings > kContactHalvings ||
-         contact_step_.gave_up() || persistent_rows() > most_persistent();
+  const std::size_t points = std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count());
+  const double steps = length / std::min(contact_dt(), kCounted);
+  const double dense = LocatedCost::lasting(steps * dense_cost_.step(static_cast<double>(points)), length);
+  return state_.dense.located.spent > kBurst + kDearer * dense;
 }
 
 // Whether a run that has ended so goes on with dense steps.
@@ -98,22 +71,8 @@ void Simulator::begin_dense_phase() {
   integrator_.forget();
 }
 
-void EventCount::fade(double length) {
-  const double left = 1.0 / (1.0 + length / kMemory);
-  coupled_impacts *= left;
-  changes *= left;
-  contact_parts *= left;
-  contact_halvings = 0;
-}
-
-void EventCount::join(const EventCount& other) {
-  coupled_impacts = std::max(coupled_impacts, other.coupled_impacts);
-  changes = std::max(changes, other.changes);
-  contact_parts = std::max(contact_parts, other.contact_parts);
-}
-
 void DensePhase::begin() {
-  events = EventCount();
+  located = LocatedCost();
   const bool soon = wanted > 0 && since_return < kSoon * static_cast<long>(wanted);
   wanted = soon ? std::min(2 * wanted, kMostQuietSteps) : kQuietSteps;
   active = true;
@@ -124,8 +83,14 @@ void DensePhase::begin() {
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
 bool Simulator::dense_may_end() const { return may_leave_dense_steps() && state_.dense.quiet >= state_.dense.wanted; }
 
+bool Simulator::persistent_contacts_pay() const {
+  int rows = 0;
+  for (const PersistentContact& c : contact_step_.contacts()) rows += c.rows();
+  return locating_pays(rows, static_cast<int>(contact_step_.contacts().size()));
+}
+
 bool Simulator::may_leave_dense_steps() const {
-  return state_.dense.active && options_.contact_steps == ContactSteps::kAuto && persistent_rows() <= most_persistent();
+  return state_.dense.active && options_.contact_steps == ContactSteps::kAuto && persistent_contacts_pay();
 }
 
 // Events are located again: what the last dense step has left closed persists.

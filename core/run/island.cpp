@@ -149,7 +149,7 @@ void Island::take_dense(std::vector<LooseState>& loose) {
     if (longest > 0.0 && (to.dense.longest == 0.0 || longest < to.dense.longest)) to.dense.longest = longest;
     to.dense.wanted = std::max(to.dense.wanted, from.dense.wanted);
     to.dense.since_return = std::min(to.dense.since_return, from.dense.since_return);
-    to.dense.events.join(from.dense.events);
+    to.dense.located.join(from.dense.located);
     take(
         from.impulses, [](const DenseImpulse& i) { return i.guard; },
         [&](DenseImpulse impulse, int guard) {
@@ -301,7 +301,7 @@ void Island::step(const VecX& before, long step, double t, double length, const 
     repeat_record(step, t, length);
     DensePhase& dense = engine_->state().dense;
     if (!dense.active) ++dense.since_return;
-    dense.events.fade(length);
+    dense.located.fade(length);
     return;
   }
   if (own_) engine_->hand_over(before_);  // the island of all trees is never undone

@@ -79,15 +79,14 @@ void fields(Archive& a, WorkAccount& x) {
 }
 
 template <class Archive>
-void fields(Archive& a, EventCount& x) {
-  auto& [coupled_impacts, changes, contact_parts, contact_halvings] = x;
-  values(a, coupled_impacts, changes, contact_parts, contact_halvings);
+void fields(Archive& a, LocatedCost& x) {
+  values(a, x.spent);
 }
 
 template <class Archive>
 void fields(Archive& a, DensePhase& x) {
-  auto& [active, quiet, wanted, since_return, longest, events] = x;
-  values(a, active, quiet, wanted, since_return, longest, events);
+  auto& [active, quiet, wanted, since_return, longest, located] = x;
+  values(a, active, quiet, wanted, since_return, longest, located);
 }
 
 template <class Archive>
@@ -226,8 +225,8 @@ void fields(Archive& a, GuardCounters& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactStepCounters& x) {
-  auto& [steps, contact_iterations, problems, iterations, fallbacks] = x;
-  values(a, steps, contact_iterations, problems, iterations, fallbacks);
+  auto& [steps, contact_iterations, problems, iterations, fallbacks, cost] = x;
+  values(a, steps, contact_iterations, problems, iterations, fallbacks, cost);
 }
 
 template <class Archive>

@@ -36,6 +36,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds()),
       dense_step_(scene, guards_, options.tol),
+      dense_cost_(scene.tree),
       sequence_(scene, integrator_, guards_,
                 {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step,
                  options.record_contacts, options.gradient}),
@@ -77,8 +78,8 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
 }
 
 void Simulator::close_contacts_at_start() {
-  contact_step_.allow_rescues(most_rescues(options_.dt));
-  if (allows_persistent_contact() && !state_.dense.active && !contacts_.close_contacts_at_start(most_persistent()))
+  if (allows_persistent_contact() && !state_.dense.active &&
+      !contacts_.close_contacts_at_start([this](int rows, int points) { return locating_pays(rows, points); }))
     state_.dense.begin();
 }
 
@@ -282,8 +283,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   long parts = 0;
   sequence_.begin_step();
   changes_.begin_interval();
-  state_.dense.events.fade(length);
-  contact_step_.allow_rescues(most_rescues(length));
+  state_.dense.located.fade(length);
   const bool dense_allowed = allows_dense_steps();
   const long impacts = state_.impacts;
   if (state_.dense.active && dense_may_end()) end_dense_phase();
@@ -299,11 +299,11 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       if (!advance_dense(interval, recording)) return false;
       continue;
     }
-    const std::size_t changes = recording.changes.size();
+    const double cost = contact_step_.counters.cost;
     const long before = state_.impacts;
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
-    state_.dense.events.changes += static_cast<double>(recording.changes.size() - changes);
+    note_located(contact_step_.counters.cost - cost);
     if (truncation_.after_impact > 1 && state_.impacts > before)
       state_.control.free.longest =
           std::min(state_.control.free.longest, interval.remaining / truncation_.after_impact);
@@ -442,8 +442,7 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   const bool rounding = (stays_closed || touched) && scale <= kSeparated * state_.largest_speed;
   const long impacts_before = state_.impacts;
   const bool ran = rounding || run_impacts(now, recording);
-  if (sequence_.count() > 1)
-    state_.dense.events.coupled_impacts += static_cast<double>(state_.impacts - impacts_before);
+  if (sequence_.count() > 1) note_located(static_cast<double>(state_.impacts - impacts_before) * costs::impact());
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!zeno_.update_bouncing(state_.flights, sequence_, time, shortest_nominal_step(), state_.adaptive_dt, recording)) {

@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 
+#include "contact/step_costs.hpp"
 #include "run/contact_change.hpp"
 #include "run/contact_set.hpp"
 #include "run/run_state.hpp"
@@ -216,9 +217,9 @@ class Simulator {
 
   // dense_steps.cpp: dense steps, and the decision between them and located events.
   bool allows_dense_steps() const;
-  int persistent_rows() const;
-  int most_persistent() const;
-  double most_rescues(double length) const;
+  void note_located(double cost);
+  bool locating_pays(int rows, int points) const;
+  bool persistent_contacts_pay() const;
   bool events_accumulate(double length) const;
   bool dense_steps_go_on() const;
   bool dense_may_end() const;
@@ -244,6 +245,7 @@ class Simulator {
   EventFinder finder_;
   ContactStep contact_step_;
   DenseStep dense_step_;
+  costs::Dense dense_cost_;
   ImpactSequence sequence_;
   StepPath path_, contact_path_;
   Actuation actuation_;

@@ -40,10 +40,9 @@ void Simulator::pass_foreseen(int count, double last_start) {
   const StepsAhead& steps = foreseen();
   sequence_.begin_step();
   changes_.begin_interval();
-  if (!state_.dense.events.none())
-    for (int k = 0; k < count; ++k) state_.dense.events.fade(options_.dt);
+  if (state_.dense.located.spent > 0.0)
+    for (int k = 0; k < count; ++k) state_.dense.located.fade(options_.dt);
   state_.dense.since_return += count;
-  contact_step_.allow_rescues(most_rescues(options_.dt));
   state_.control.flew(options_.dt);
   if (guards_.count() > 0 || follows_motion_) finder_.pass_foreseen(steps, count);
   std::copy_n(steps.next(count - 1, StepsAhead::kQ), state_.q.size(), state_.q.data());

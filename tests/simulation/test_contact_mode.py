@@ -458,3 +458,25 @@ def test_the_command_line_says_that_contact_was_dense(heap, capsys):
         assert "Dense contact" not in capsys.readouterr().err
     finally:
         heap.options = kept
+
+
+@pytest.mark.parametrize("family", ["tower", "cards"])
+def test_what_comes_down_at_once_takes_dense_steps_soon(family):
+    """Locating what lands costs more than such steps; nobody waits for that to add up."""
+    scene, q, v = heaps.to_scene(heaps.make(family, 7, restitution=0.3))
+    with pytest.warns(cvi.DenseStepWarning):
+        traj = cvi.simulate(scene, q, v, 0.1, dt=1e-3)
+    assert 0.0 < traj.dense_steps["t"][0] - traj.events[0].time < 0.02
+
+
+def test_what_bounces_now_and_then_takes_none():
+    """Two balls, until they lie."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    for k, height in enumerate((0.3, 0.6)):
+        scene.add_sphere(f"ball{k}", radius=0.05, mass=0.1 + k, placement=(0.4 * k, 0.0, height))
+    scene.set_contact(restitution=0.8, friction=0.5)
+    traj = cvi.simulate(scene, duration=3.5, dt=1e-3)
+    assert traj.stats.impacts > 30
+    assert len(traj.dense_steps) == 0
+    assert np.abs(traj.v[-1]).max() < 1e-3

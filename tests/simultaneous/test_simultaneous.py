@@ -361,7 +361,8 @@ def test_a_face_is_one_impact():
     found = cvi.simultaneous_outcomes(made, q, np.array([0.3, 0.0, -2.0, 0.0, 0.0, 0.0]))
     assert [len(contact.W) for contact in found.contacts] == [4]
     assert found.unique
-    assert np.abs(found.chosen.v_plus - [0.3, 0.0, 1.0, 0.0, 0.0, 0.0]).max() <= 1e-14
+    # A turn is rounding of the impulses over the lever, a twentieth of a metre.
+    assert np.abs(found.chosen.v_plus - [0.3, 0.0, 1.0, 0.0, 0.0, 0.0]).max() <= 2e-15 / 0.05
     assert found.chosen.impulses == pytest.approx([6.0], rel=1e-14)
     assert "box | ground (4 points)" in str(found)
 

@@ -74,10 +74,10 @@ SMALL: dict[str, dict] = {
     "robots": {"robots": 1},
     "one body": {"bodies": 1, "contacts": 3},
 }
-# Of the 30 problems of the five kinds and six seeds, 27 are compared. On one the oracle does not converge from its
-# second start. On two there is one answer, which the engine does not find: it says so, and its own is that of a repair.
+# Of the 30 problems of the five kinds and six seeds, 28 are compared. On one the oracle does not converge from its
+# second start. On one there is one answer, which the engine does not find: it says so, and its own is that of a repair.
 ENDLESS = [("frictionless", 3)]
-REPAIRED = [("joints", 2), ("joints", 4)]
+REPAIRED = [("joints", 2)]
 COMPARED = [case for case in itertools.product(SMALL, range(6)) if case not in ENDLESS + REPAIRED]
 
 
@@ -110,6 +110,34 @@ def test_an_answer_that_the_engine_does_not_find(kind, seed):
     q = p.solver().solve(answer, bound_of(p))
     assert q["stage"] == "sweeps"
     np.testing.assert_allclose(q["v"], oracle.velocity(p, answer), atol=1e-8 * max(1.0, q["scale"]))
+
+
+@pytest.mark.parametrize(("bodies", "contacts", "mu"), [(6, 20, 1.0), (8, 30, 0.8), (5, 16, 1.5)])
+def test_confined_heaps(bodies, contacts, mu):
+    """Most are solved, by whatever stage; with the sweeps alone far fewer are."""
+    problems = [heap(generator(77, seed), bodies=bodies, contacts=contacts, mu=mu) for seed in range(40)]
+    accept = 1e-4
+
+    def share(**options: int) -> float:
+        return np.mean([p.solver().solve(p.start, accept=accept, **options)["residual"] <= accept for p in problems])
+
+    reached, by_sweeps = share(), share(newton_steps=0, factors=0)
+    assert reached >= 0.95
+    assert by_sweeps <= reached - 0.2
+
+
+def test_interior_point_has_bounds():
+    """Bounds of Poisson's expansion and of joint friction take part: it solves without sweeps and Newton steps."""
+    reached, accept = 0, 1e-4
+    for seed in range(20):
+        p = heap(generator(78, seed), bodies=4, contacts=8, joints=3, bounded=0.5)
+        q = p.solver().solve(p.start, sweeps=0, newton_steps=0, tolerance=accept, accept=accept)
+        lam, first = np.array(q["impulses"]), p.first_row
+        reached += q["stage"] == "interior point" and q["residual"] <= accept
+        boxes = p.box > 0.0
+        assert np.all(np.abs(lam[first[boxes]]) <= p.box[boxes] * (1.0 + 4 * EPS))
+        assert np.all(lam[first[~boxes]] >= p.lower[~boxes] * (1.0 - 4 * EPS))
+    assert reached >= 18
 
 
 def dense(p: BlockProblem, start: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
@@ -300,7 +328,7 @@ def test_convex_problem(seed):
     slip = 0.3 * np.abs(rng.normal(size=len(p.mu))) * (seed % 2)
     lam, residual, factors = p.solver().solve_convex(slip)
     assert residual <= 1e-6
-    assert factors < 40
+    assert factors < 60
     theirs = oracle.convex_velocity(p, slip, clarabel)
     assert theirs is not None
     ours = oracle.velocity(p, lam)
