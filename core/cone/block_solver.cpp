@@ -10,6 +10,7 @@
 #include "cone/block_normals.hpp"
 #include "cone/block_system.hpp"
 #include "cone/interior_point.hpp"
+#include "cone/sweep.hpp"
 
 namespace contactvi {
 
@@ -43,7 +44,6 @@ struct BlockSolver::Work {
   BlockFactor& pattern();
   void begin();
   void note();
-  void sweep();
   bool sweeps(bool all);
   bool sweeps_lead_on(double last) const;
   bool polish();
@@ -98,21 +98,6 @@ void BlockSolver::Work::note() {
   if (point.residual < best.residual) best = point;
 }
 
-void BlockSolver::Work::sweep() {
-  ++result.sweeps;
-  for (int c = 0; c < system.contacts(); ++c) {
-    const BlockContact& law = system.contact(c);
-    Vec3& lambda = point.lambda[c];
-    const Vec3 w = system.velocity(c, point.v);
-    if (w[0] > 0.0 && lambda[0] == 0.0 && law.lower == 0.0 && !is_box(law)) continue;
-    const ContactMatrix& m = system.matrix(c);
-    const Vec3 next = solve_contact(law, m, w - m.G * lambda, lambda), change = next - lambda;
-    if (change.isZero(0.0)) continue;
-    system.push(c, change, point.v);
-    lambda = next;
-  }
-}
-
 // Whether the sweeps that are left reach the tolerance, or what is accepted, at the rate since the residual was `last`.
 bool BlockSolver::Work::sweeps_lead_on(double last) const {
   const double goal = point.residual > options.accept ? options.accept : options.tolerance;
@@ -125,8 +110,8 @@ bool BlockSolver::Work::sweeps(bool all) {
   const double before = best.residual;
   double last = point.residual;
   while (result.sweeps < options.sweeps && best.residual > options.tolerance) {
-    sweep();
-    if (result.sweeps % kBetweenChecks != 0) continue;
+    sweep(system, point);
+    if (++result.sweeps % kBetweenChecks != 0) continue;
     system.update(point);
     note();
     if (!all && !sweeps_lead_on(last)) break;

@@ -13,16 +13,20 @@ constexpr double kLeastMobility = 1e-12;  // of the largest diagonal: keeps what
 
 void DenseSystem::reserve(int rows) {
   laws_.reserve(rows);
-  largest_.reserve(rows);
+  matrices_.reserve(rows);
+  rows_.reserve(rows);
+  rays_.reserve(rows);
   if (free_.size() >= rows) return;
   free_.resize(rows);
   impulses_.resize(rows);
 }
 
-bool DenseSystem::start(const ConeProblem& problem) {
+void DenseSystem::start(const ConeProblem& problem) {
   problem_ = &problem;
   laws_.clear();
-  largest_.clear();
+  matrices_.clear();
+  rows_.clear();
+  rays_.clear();
   free_ = problem.b;
   impulses_.setZero(problem.b.size());
   const auto& G = problem.G;
@@ -35,19 +39,25 @@ bool DenseSystem::start(const ConeProblem& problem) {
       free_.noalias() += G.col(c.row) * impulses_[c.row];
       continue;
     }
-    if (c.frozen && c.rows == 3) return false;
+    const bool frozen = c.frozen && c.rows == 3;
     BlockContact law;
     law.a = 0;
     law.row = c.row;
-    law.rows = c.rows;
-    law.mu = c.mu;
+    law.rows = frozen ? 1 : c.rows;
+    law.mu = frozen ? 0.0 : c.mu;
     law.lower = c.lower;
     law.box = c.box;
     laws_.push_back(law);
-    largest_.push_back(std::max(G.diagonal().segment(c.row, c.rows).cwiseAbs().maxCoeff(), floor));
-    scale_ = std::max({scale_, problem.b.segment(c.row, c.rows).cwiseAbs().maxCoeff(), c.lower * largest_.back()});
+    rows_.push_back(c.rows);
+    rays_.push_back(frozen ? Vec3(1.0, -c.mu * c.d[0], -c.mu * c.d[1]) : Vec3(1.0, 0.0, 0.0));
+    ContactMatrix m;
+    for (int k = 0; k < law.rows; ++k)
+      for (int j = 0; j < law.rows; ++j) m.G(k, j) = 0.5 * (G(c.row + k, c.row + j) + G(c.row + j, c.row + k));
+    for (int j = 1; frozen && j < 3; ++j) m.G(0, 0) += G(c.row, c.row + j) * rays_.back()[j];
+    m.finish(floor, law.rows == 1);
+    matrices_.push_back(m);
+    scale_ = std::max({scale_, problem.b.segment(c.row, law.rows).cwiseAbs().maxCoeff(), c.lower * m.largest});
   }
-  return true;
 }
 
 Vec3 DenseSystem::speed(int c, const VecX& w) const {
@@ -57,9 +67,16 @@ Vec3 DenseSystem::speed(int c, const VecX& w) const {
   return x;
 }
 
+Vec3 DenseSystem::in_rows(int c, const Vec3& d) const { return rows_[c] == laws_[c].rows ? d : Vec3(d[0] * rays_[c]); }
+
 void DenseSystem::pull(int c, const Vec3& d, VecX& impulses) const {
-  const BlockContact& law = laws_[c];
-  for (int r = 0; r < law.rows; ++r) impulses[law.row + r] += d[r];
+  const Vec3 x = in_rows(c, d);
+  for (int r = 0; r < rows_[c]; ++r) impulses[laws_[c].row + r] += x[r];
+}
+
+void DenseSystem::push(int c, const Vec3& d, VecX& w) const {
+  const Vec3 x = in_rows(c, d);
+  for (int r = 0; r < rows_[c]; ++r) w.noalias() += problem_->G.col(laws_[c].row + r) * x[r];
 }
 
 void DenseSystem::update(ConePoint& point) const {
@@ -77,7 +94,7 @@ void DenseSystem::project(ConePoint& point) const {
 double DenseSystem::residual(const ConePoint& point) const {
   double worst = 0.0;
   for (int c = 0; c < contacts(); ++c) {
-    const double error = law_error(laws_[c], largest_[c], point.lambda[c], velocity(c, point.v));
+    const double error = law_error(laws_[c], largest(c), point.lambda[c], velocity(c, point.v));
     if (!(error <= worst)) worst = error;  // also if it is not a number
   }
   return worst / scale_;
@@ -93,9 +110,11 @@ void DenseSystem::read(const double* impulses, ConePoint& point) const {
 
 void DenseSystem::write(const ConePoint& point, double* impulses) const {
   for (const ConeContact& c : problem_->contacts)
-    if (c.frozen) impulses[c.row] = -c.box * c.d[0];
-  for (int c = 0; c < contacts(); ++c)
-    for (int r = 0; r < laws_[c].rows; ++r) impulses[laws_[c].row + r] = point.lambda[c][r];
+    if (c.frozen && c.box > 0.0) impulses[c.row] = -c.box * c.d[0];
+  for (int c = 0; c < contacts(); ++c) {
+    const Vec3 x = in_rows(c, point.lambda[c]);
+    for (int r = 0; r < rows_[c]; ++r) impulses[laws_[c].row + r] = x[r];
+  }
 }
 
 bool DenseFactor::factor(const DenseSystem& system, const std::vector<Mat3>& K, bool) {
@@ -108,12 +127,12 @@ bool DenseFactor::factor(const DenseSystem& system, const std::vector<Mat3>& K, 
   for (int c = 0; c < system.contacts(); ++c) {
     const BlockContact& law = system.contact(c);
     for (int k = 0; k < law.rows; ++k) {
-      for (int s = 0; s < law.rows; ++s) {
-        const double f = K[c](s, k);
-        if (f == 0.0) continue;
+      const Vec3 f = system.in_rows(c, K[c].col(k));
+      double* to = &linear_.at(0, law.row + k);
+      for (int s = 0; s < system.rows(c); ++s) {
+        if (f[s] == 0.0) continue;
         const double* column = G.data() + (law.row + s) * G.outerStride();
-        double* to = &linear_.at(0, law.row + k);
-        for (int i = 0; i < m; ++i) to[i] += f * column[i];
+        for (int i = 0; i < m; ++i) to[i] += f[s] * column[i];
       }
     }
   }

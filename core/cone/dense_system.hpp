@@ -10,25 +10,29 @@
 namespace contactvi {
 
 // Contacts whose impulse is given (joint friction in a frozen direction) are not among its contacts; those that slip in
-// a frozen direction it cannot have.
+// a frozen direction have one impulse, which acts along the normal and against the slip.
 class DenseSystem {
  public:
   void reserve(int rows);
-  // False for contacts with friction in a frozen direction.
-  bool start(const ConeProblem& problem);
+  void start(const ConeProblem& problem);
 
   int contacts() const { return static_cast<int>(laws_.size()); }
   int dofs() const { return static_cast<int>(problem_->b.size()); }
   const ConeProblem& problem() const { return *problem_; }
   const BlockContact& contact(int c) const { return laws_[c]; }
-  double largest(int c) const { return largest_[c]; }
+  const ContactMatrix& matrix(int c) const { return matrices_[c]; }  // its symmetric part
+  double largest(int c) const { return matrices_[c].largest; }
   double scale() const { return scale_; }  // largest speed of a row without impulses [m/s]
 
   Vec3 speed(int c, const VecX& w) const;  // the rows of one contact
   Vec3 velocity(int c, const VecX& w) const { return speed(c, w); }
-  void pull(int c, const Vec3& d, VecX& impulses) const;  // impulses += d in the rows of one contact
-  void update(ConePoint& point) const;                    // v = b + G lambda
-  void project(ConePoint& point) const;                   // lambda onto the cones, and update
+  // What an impulse of a contact is in the rows of the problem: impulses += d, w += G d.
+  void pull(int c, const Vec3& d, VecX& impulses) const;
+  void push(int c, const Vec3& d, VecX& w) const;
+  Vec3 in_rows(int c, const Vec3& d) const;
+  int rows(int c) const { return rows_[c]; }  // of the problem
+  void update(ConePoint& point) const;        // v = b + G lambda
+  void project(ConePoint& point) const;       // lambda onto the cones, and update
   double residual(const ConePoint& point) const;
 
   // Impulses of all rows (rows,) to those of the contacts and back; given ones stay.
@@ -38,8 +42,10 @@ class DenseSystem {
  private:
   const ConeProblem* problem_ = nullptr;
   std::vector<BlockContact> laws_;
-  std::vector<double> largest_;
-  VecX free_;  // velocity of the rows at the given impulses
+  std::vector<ContactMatrix> matrices_;
+  std::vector<int> rows_;
+  std::vector<Vec3> rays_;  // of the normal impulse in the rows
+  VecX free_;               // velocity of the rows at the given impulses
   mutable VecX impulses_;
   double scale_ = 1.0;
 };

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "cone/single_contact.hpp"
+#include "cone/sweep.hpp"
 
 namespace contactvi {
 
@@ -17,6 +18,7 @@ constexpr double kDisagree = 1e-3;  // residual up to which the direct solution 
 // residual at which it ends (of the largest free speed), and its start on the central path over the residual there.
 constexpr int kPathIterations = 60;
 constexpr double kPathEnd = 1e-10, kPathStart = 100.0;
+constexpr int kSweeps = 100;  // of Gauss-Seidel, for where that stalls, too
 
 }  // namespace
 
@@ -92,22 +94,28 @@ bool ConeSolver::keep_better(double* lambda, int rows) {
   return result_.residual <= kConeTolerance;
 }
 
-// Newton's method from where an interior point method leads.
+// Newton's method from where an interior point method leads, and from where sweeps do.
 bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lambda) {
-  // A contact that goes on slipping in a given direction may have no solution (Painleve's paradox): the caller frees
-  // it.
-  if (!system_.start(problem)) return false;
-  ++result_.fallbacks;
+  using Singular = ConeNewton::Singular;
+  const int m = static_cast<int>(problem.b.size());
+  const auto polished = [&] {
+    ++result_.fallbacks;
+    system_.write(point_, lambda);
+    map_.set_shift(0.0);
+    newton_.run(problem, map_, regularize ? Singular::kLeastImpulses : Singular::kMinimumNorm, kIterations, lambda);
+    return keep_better(lambda, m);
+  };
+  system_.start(problem);
   system_.read(best_.data(), point_);
   system_.project(point_);
   point_.residual = system_.residual(point_);
   interior_.run(system_, factor_, nullptr, std::min(1.0, kPathStart * point_.residual), kPathEnd, kPathIterations,
                 point_);
-  system_.write(point_, lambda);
-  map_.set_shift(0.0);
-  using Singular = ConeNewton::Singular;
-  newton_.run(problem, map_, regularize ? Singular::kLeastImpulses : Singular::kMinimumNorm, kIterations, lambda);
-  return keep_better(lambda, static_cast<int>(problem.b.size()));
+  if (polished()) return true;
+  for (Vec3& impulse : point_.lambda) impulse.setZero();
+  system_.project(point_);
+  for (int k = 0; k < kSweeps; ++k) sweep(system_, point_);
+  return polished();
 }
 
 // Takes away what Newton's method leaves of the impulses of contacts that the law opens: it is less than the solution
