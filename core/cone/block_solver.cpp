@@ -47,6 +47,7 @@ struct BlockSolver::Work {
   bool sweeps(bool all);
   bool sweeps_lead_on(double last) const;
   bool polish();
+  void clear_open();
   void interior_point();
   void last_sweeps();
   void repair();
@@ -130,12 +131,30 @@ bool BlockSolver::Work::polish() {
   return best.residual <= options.tolerance;
 }
 
+// Takes away what the central path leaves of the impulses of contacts that the law opens: it is below the residual, but
+// an impulse says that a contact is closed.
+void BlockSolver::Work::clear_open() {
+  for (int c = 0; c < system.contacts(); ++c) {
+    const BlockContact& law = system.contact(c);
+    Vec3& lambda = best.lambda[c];
+    if (is_box(law) || law.lower > 0.0 || lambda[0] == 0.0) continue;
+    const Vec3 w = system.velocity(c, best.v);
+    const double slip = has_friction(law) ? law.mu * std::hypot(w[1], w[2]) : 0.0, g = system.matrix(c).largest;
+    if (project_impulse(law, lambda - (w + Vec3(slip, 0.0, 0.0)) / g).isZero(0.0)) lambda.setZero();
+  }
+  system.update(best);
+  best.residual = system.residual(best);
+}
+
 // Stage C, with B after it.
 void BlockSolver::Work::interior_point() {
   const double before = best.residual;
   result.factors += interior.run(system, pattern(), nullptr, std::min(1.0, kPathStart * before), options.accept,
                                  options.factors - result.factors, best);
-  if (best.residual < before) result.stage = BlockResult::Stage::kInteriorPoint;
+  if (best.residual < before) {
+    result.stage = BlockResult::Stage::kInteriorPoint;
+    clear_open();
+  }
   if (best.residual > options.tolerance) polish();
 }
 

@@ -12,7 +12,6 @@ namespace {
 constexpr double kGain = 1e-12;       // of the energy of the closing motion: a smaller gain is rounding
 constexpr double kRounding = 2e-14;   // of the speeds
 constexpr double kAccept = 1e-9;      // residual of a cone problem that did not converge
-constexpr double kRows = 1e-10;       // residual of one in which redundant rows disagree by rounding
 constexpr double kShareWidth = 1e-9;  // of e: accuracy of its largest share without gain
 constexpr int kBisections = 50;
 }  // namespace
@@ -32,7 +31,7 @@ bool PoissonImpact::cone(const VecX& start, bool expansion, double share, const 
   lambda.setZero(G_.rows());
   for (const ConeContact& c : cones_) lambda[c.row] = c.lower;
   const ConeResult result =
-      solver_.solve({cones_, G_, start, kRounding * (1.0 + start.cwiseAbs().maxCoeff()), 0.0, kRows}, lambda, true);
+      solver_.solve({cones_, G_, start, kRounding * (1.0 + start.cwiseAbs().maxCoeff())}, lambda, true);
   iterations_ += result.iterations;
   // The error of a nearly singular problem is left to a further impact.
   return (result.ok || result.residual <= kAccept) && lambda.allFinite();
