@@ -209,7 +209,7 @@ def test_inputs_friction_and_restitution_are_parameters(name):
 
 @pytest.mark.slow
 def test_from_dense_steps_to_located_events():
-    """25 points with friction are not worth steps with persistent contacts; three balls are lifted, and the rest are."""
+    """25 points with friction are not worth steps with persistent contacts; without three balls they are."""
     scene = cvi.Scene()
     scene.add_halfspace()
     for k in range(25):
