@@ -54,7 +54,7 @@ class DenseSystem {
 class DenseFactor {
  public:
   void reserve(int rows) { linear_.reserve(rows); }
-  // False if the numbers are not finite.
+  // False if it is singular or the numbers are not finite.
   bool factor(const DenseSystem& system, const std::vector<Mat3>& K, bool symmetric);
   // x (rows,): impulses on entry; on return the velocities that they make, (I + G K)^-1 G x. False if not finite.
   bool solve(VecX& x);

@@ -215,8 +215,7 @@ double InteriorPoint<System, Factor>::direction(const System& system, Factor& fa
       Vec3 right = -product(l, l);
       right[0] += target;
       if (corrected) right -= p.corrector;
-      p.d_cone = p.scaling * quotient(l, right);
-      p.d += p.d_cone;
+      p.d += p.scaling * quotient(l, right);
     }
     for (Bound* b : {&p.lower, &p.upper}) {
       if (!b->present) continue;

@@ -50,7 +50,6 @@ class InteriorPoint {
     Vec3 error = Vec3::Zero();                  // velocity that belongs to the impulses minus those of the pairs
     Vec3 dz = Vec3::Zero(), dy = Vec3::Zero();  // step
     Vec3 d = Vec3::Zero();                      // of all pairs: step of the velocity at the present impulses
-    Vec3 d_cone = Vec3::Zero();                 // of the cone
     Vec3 corrector = Vec3::Zero();              // product of the predictor's steps
     Mat3 scaling = Mat3::Zero(), inverse = Mat3::Zero();  // Nesterov and Todd's
     Mat3 mobility = Mat3::Zero();                         // impulse over velocity: inverse of the sum over the pairs

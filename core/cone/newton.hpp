@@ -40,7 +40,8 @@ class ConeNewton {
     double column[3], test[3];
     double diagonal;
     int single;  // the only row that is tested, by 1; -1: there are more
-    int kind() const { return 16 * row + 4 * rows + 1 + single - 3 * (column[0] != 0.0 && rows == 3); }
+    // Row and part of the law as one number: rows is 1 or 3, single -1 to 2.
+    int kind() const { return 16 * row + 4 * rows + 1 + single; }
   };
 
   // How the last matrix was factored, for which shift, and its unknowns.
@@ -61,8 +62,7 @@ class ConeNewton {
   SmallLinear linear_;
   std::vector<Unknown> unknowns_;
   int count_ = 0;
-  std::vector<double> w_, next_, next_w_, trial_,
-      trial_w_;  // velocity at lambda; at the step's end; of a trial
+  std::vector<double> w_, next_, next_w_, trial_, trial_w_;  // velocity at lambda; at the step's end; of a trial
   std::vector<double> product_, delta_, weight_;
   static constexpr int kMemory = 4;
   double past_[kMemory] = {};  // merits of the last points

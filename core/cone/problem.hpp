@@ -48,7 +48,7 @@ struct ConeResult {
   double residual = 0.0;  // natural map, relative (natural_map.hpp); infinity for data that is not finite
   int iterations = 0;     // Newton steps, of all starts
   int factors = 0;        // of them those with a new factor of the matrix
-  int fallbacks = 0;      // start values that the interior point method had to find
+  int fallbacks = 0;      // starts from the interior point method or from sweeps
 };
 
 }  // namespace contactvi
