@@ -12,7 +12,8 @@
 namespace contactvi {
 
 // Solves one contact directly, more by Newton's method on the natural map, and where that stalls again from where an
-// interior point method leads, then from where Gauss-Seidel sweeps do. Where the forces are not unique (four corners on a plane) the solution is
+// interior point method leads, then from where Gauss-Seidel sweeps do. Where the forces are not unique (four corners
+// on a plane) the solution is
 //   regularize       near the one of least norm, whatever the start: G + eps I first, then minimum-norm Newton steps;
 //   not regularize   the one that minimum-norm Newton steps reach from the start.
 // Among several solutions that differ in their velocities none is preferred; the same input gives the same output.
