@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "contact/delassus.hpp"
-#include "contact/step_costs.hpp"
+#include "model/step_costs.hpp"
 
 namespace contactvi {
 

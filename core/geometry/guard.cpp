@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "model/step_costs.hpp"
 #include "geometry/box.hpp"
 
 namespace contactvi {
@@ -231,7 +232,9 @@ double Guards::find_nearest(int guard, Contact& contact) {
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   place_pair(guard);
   const bool without_coal = a.unbounded != b.unbounded || manifolds_.has_capsules(guard);
+  counters.cost += costs::near_distance();
   if (without_coal && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
+  counters.cost += a.is_ball || b.is_ball ? costs::near_distance() : costs::distance();
   const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
   distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
   contact.body_a = a.body;

@@ -30,6 +30,7 @@ namespace contactvi {
 struct GuardCounters {
   long evaluated = 0;  // exact gaps
   long skipped = 0;    // guards of a step settled without one
+  double cost = 0.0;   // of the exact ones (model/step_costs.hpp)
 };
 
 class Guards {

@@ -12,18 +12,14 @@ enum class ContactSteps : int {
   kDense = 2,   // dense steps alone
 };
 
-// What steps with persistent contacts, and impacts at instants with several closed contacts, have cost lately [us of
-// step_costs.hpp]. It fades.
+// What locating events has cost beyond what it may cost [us of step_costs.hpp].
 struct LocatedCost {
-  static constexpr double kMemory = 5e-3;  // [s] after which half of it is forgotten
-  double spent = 0.0;
+  double excess = 0.0;
 
-  // An interval of this length [s] begins.
-  void fade(double length) { spent /= 1.0 + length / kMemory; }
-  // What it comes to in the end if it is `rate` in every interval of this length.
-  static double lasting(double rate, double length) { return rate * (1.0 + kMemory / length); }
+  // Of an interval, and what it may cost.
+  void add(double cost, double allowed) { excess = std::max(0.0, excess + cost - allowed); }
   // Of bodies that meet.
-  void join(const LocatedCost& other) { spent = std::max(spent, other.spent); }
+  void join(const LocatedCost& other) { excess = std::max(excess, other.excess); }
 };
 
 struct DensePhase {

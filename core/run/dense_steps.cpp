@@ -16,7 +16,7 @@ namespace contactvi {
 namespace {
 // Locating events may cost as many times what dense steps of the same length cost: it tells more about the motion.
 constexpr double kDearer = 3.0;
-constexpr double kBurst = 2e4;     // [us] for a single burst besides; those of a grasp reach 1.4e4 (test_hand_scene.py)
+constexpr double kBurst = 8e4;     // [us] of bursts besides; those of a grasp reach 7e4 (test_hand_scene.py)
 constexpr double kCounted = 1e-3;  // [s] length of the dense steps that count, unless those of contact are shorter
 constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
@@ -31,9 +31,9 @@ bool Simulator::allows_dense_steps() const {
   return options_.contact_steps != ContactSteps::kEvents && dense_step_.available() && allows_persistent_contact();
 }
 
-// What is held by constraints or joint friction alone has no other steps.
-void Simulator::note_located(double cost) {
-  if (!contact_step_.contacts().empty() || sequence_.count() > 0) state_.dense.located.spent += cost;
+// What locating events has cost so far [us].
+double Simulator::located_cost() const {
+  return contact_step_.counters.cost + guards_.counters.cost + costs::impact() * static_cast<double>(state_.impacts);
 }
 
 // Whether contacts with so many rows and points are worth steps with events, if nothing happens to them.
@@ -41,12 +41,15 @@ bool Simulator::locating_pays(int rows, int points) const {
   return !allows_dense_steps() || costs::quiet_contact_step(rows) <= kDearer * dense_cost_.step(points);
 }
 
-// Whether locating the events has lately cost more than dense steps by far.
-bool Simulator::events_accumulate(double length) const {
+// What locating events may cost in an interval of this length [us].
+double Simulator::allowed_cost(double length) const {
   const std::size_t points = std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count());
-  const double steps = length / std::min(contact_dt(), kCounted);
-  const double dense = LocatedCost::lasting(steps * dense_cost_.step(static_cast<double>(points)), length);
-  return state_.dense.located.spent > kBurst + kDearer * dense;
+  return kDearer * length / std::min(contact_dt(), kCounted) * dense_cost_.step(static_cast<double>(points));
+}
+
+// Whether it has cost more than dense steps by far.
+bool Simulator::events_accumulate(double cost, double length) const {
+  return state_.dense.located.excess + cost > kBurst + allowed_cost(length);
 }
 
 // Whether a run that has ended so goes on with dense steps.
@@ -72,7 +75,6 @@ void Simulator::begin_dense_phase() {
 }
 
 void DensePhase::begin() {
-  located = LocatedCost();
   const bool soon = wanted > 0 && since_return < kSoon * static_cast<long>(wanted);
   wanted = soon ? std::min(2 * wanted, kMostQuietSteps) : kQuietSteps;
   active = true;

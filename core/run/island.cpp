@@ -301,7 +301,7 @@ void Island::step(const VecX& before, long step, double t, double length, const 
     repeat_record(step, t, length);
     DensePhase& dense = engine_->state().dense;
     if (!dense.active) ++dense.since_return;
-    dense.located.fade(length);
+    dense.located = LocatedCost();
     return;
   }
   if (own_) engine_->hand_over(before_);  // the island of all trees is never undone

@@ -80,7 +80,7 @@ void fields(Archive& a, WorkAccount& x) {
 
 template <class Archive>
 void fields(Archive& a, LocatedCost& x) {
-  values(a, x.spent);
+  values(a, x.excess);
 }
 
 template <class Archive>
@@ -219,8 +219,8 @@ void fields(Archive& a, StepCounters& x) {
 
 template <class Archive>
 void fields(Archive& a, GuardCounters& x) {
-  auto& [evaluated, skipped] = x;
-  values(a, evaluated, skipped);
+  auto& [evaluated, skipped, cost] = x;
+  values(a, evaluated, skipped, cost);
 }
 
 template <class Archive>

@@ -283,8 +283,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   long parts = 0;
   sequence_.begin_step();
   changes_.begin_interval();
-  state_.dense.located.fade(length);
   const bool dense_allowed = allows_dense_steps();
+  double spent = 0.0;
   const long impacts = state_.impacts;
   if (state_.dense.active && dense_may_end()) end_dense_phase();
   if (!state_.dense.active) ++state_.dense.since_return;
@@ -299,11 +299,12 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       if (!advance_dense(interval, recording)) return false;
       continue;
     }
-    const double cost = contact_step_.counters.cost;
+    const double cost = located_cost();
     const long before = state_.impacts;
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
-    note_located(contact_step_.counters.cost - cost);
+    // What is held by constraints or joint friction alone has no other steps.
+    if (!contact_step_.contacts().empty() || sequence_.count() > 0) spent += located_cost() - cost;
     if (truncation_.after_impact > 1 && state_.impacts > before)
       state_.control.free.longest =
           std::min(state_.control.free.longest, interval.remaining / truncation_.after_impact);
@@ -312,13 +313,14 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       return false;
     }
     const bool shortened = !going && may_be_shortened(length, impacts);
-    if (dense_allowed && !shortened && (going ? events_accumulate(length) : dense_steps_go_on()))
+    if (dense_allowed && !shortened && (going ? events_accumulate(spent, length) : dense_steps_go_on()))
       begin_dense_phase();
     else if (!going)
       return false;
     // A step that was solved from other start values after a call has failed counts, but it is the last one.
     if (user_function_failed(start + interval.done)) return false;
   }
+  state_.dense.located.add(spent, allowed_cost(length));
   if (!interval.checked && !in_range(state_.q, state_.p))
     return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");
   return true;
@@ -440,9 +442,7 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   zeno_.find_accumulating_impacts(state_.flights, sequence_, time, shortest_nominal_step());
   // A contact that has separated by rounding only has no impact with the closing speed that rounding has left.
   const bool rounding = (stays_closed || touched) && scale <= kSeparated * state_.largest_speed;
-  const long impacts_before = state_.impacts;
   const bool ran = rounding || run_impacts(now, recording);
-  if (sequence_.count() > 1) note_located(static_cast<double>(state_.impacts - impacts_before) * costs::impact());
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!zeno_.update_bouncing(state_.flights, sequence_, time, shortest_nominal_step(), state_.adaptive_dt, recording)) {

@@ -7,7 +7,7 @@
 #include <functional>
 #include <memory>
 
-#include "contact/step_costs.hpp"
+#include "model/step_costs.hpp"
 #include "run/contact_change.hpp"
 #include "run/contact_set.hpp"
 #include "run/run_state.hpp"
@@ -217,10 +217,11 @@ class Simulator {
 
   // dense_steps.cpp: dense steps, and the decision between them and located events.
   bool allows_dense_steps() const;
-  void note_located(double cost);
+  double located_cost() const;
+  double allowed_cost(double length) const;
   bool locating_pays(int rows, int points) const;
   bool persistent_contacts_pay() const;
-  bool events_accumulate(double length) const;
+  bool events_accumulate(double cost, double length) const;
   bool dense_steps_go_on() const;
   bool dense_may_end() const;
   void begin_dense_phase();

@@ -40,8 +40,7 @@ void Simulator::pass_foreseen(int count, double last_start) {
   const StepsAhead& steps = foreseen();
   sequence_.begin_step();
   changes_.begin_interval();
-  if (state_.dense.located.spent > 0.0)
-    for (int k = 0; k < count; ++k) state_.dense.located.fade(options_.dt);
+  state_.dense.located.add(0.0, count * allowed_cost(options_.dt));
   state_.dense.since_return += count;
   state_.control.flew(options_.dt);
   if (guards_.count() > 0 || follows_motion_) finder_.pass_foreseen(steps, count);

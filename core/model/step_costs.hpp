@@ -13,7 +13,9 @@ namespace contactvi::costs {
 inline double contact_iteration(double rows) { return 2.0 + 0.03 * rows * rows; }
 inline double cone_iteration(double rows) { return 0.5 + 5e-4 * rows * rows * rows; }
 inline double contact_step() { return 8.0; }  // besides its iterations: events, forces
-inline double impact() { return 10.0; }
+inline double impact() { return 5.0; }         // besides its distances
+inline double near_distance() { return 0.3; }  // in closed form, and to a ball
+inline double distance() { return 2.0; }       // by coal
 // A step with persistent contacts to which nothing happens.
 inline double quiet_contact_step(double rows) {
   return contact_step() + 6.0 * contact_iteration(rows) + 20.0 * cone_iteration(rows);
