@@ -36,4 +36,15 @@ struct BlockProblem {
   int rows() const { return static_cast<int>(offset.size()); }
 };
 
+// Velocity of row r of a contact, without its offset.
+inline double row_velocity(const BlockProblem& problem, const BlockContact& c, int r, const VecX& v) {
+  const int size_a = problem.size(c.a), size_b = c.b >= 0 ? problem.size(c.b) : 0;
+  double w = 0.0;
+  const double* a = problem.W.data() + c.column + r * size_a;
+  for (int d = 0; d < size_a; ++d) w += a[d] * v[problem.start[c.a] + d];
+  const double* b = problem.W.data() + c.column + c.rows * size_a + r * size_b;
+  for (int d = 0; d < size_b; ++d) w += b[d] * v[problem.start[c.b] + d];
+  return w;
+}
+
 }  // namespace contactvi

@@ -3,19 +3,14 @@
 #include <cmath>
 #include <limits>
 
+#include "contact/constraint_check.hpp"
 #include "contact/contact_step.hpp"
 #include "model/constraints.hpp"
-#include "model/moving_frame.hpp"
 
 namespace contactvi {
 
 namespace {
 constexpr double kStill = 1e-11;  // of the speeds: slip below it is rounding
-constexpr double kJump = 2.0;  // of the sum of a motion's rates at both ends of a step: a larger deviation is a jump,
-constexpr double kJumpRounding = 1e-9;  // where it is also beyond this [rad; m], [rad/s; m/s]
-constexpr double kFar = 1e-4;           // of the configuration: coordinates beyond its inverse have more rounding
-constexpr double kMet = 1e-10;          // [m; rad] to which a constraint is satisfied,
-constexpr double kMetRate = 1e-7;       // of the speeds: to which its rate is
 }  // namespace
 
 // The rows of constraints and joint friction at q; the guards are placed there.
@@ -108,46 +103,23 @@ double ContactStep::slip_left(int i) const {
 bool ContactStep::constraints_met(double h, bool rates) {
   violated_constraint_ = -1;
   if (bilateral_ == 0) return true;
-  VecX rate = VecX::Zero(bilateral_);
-  double speed = 1.0;
+  const Elements& elements = scene_->tree.elements;
+  ConstraintErrors errors{node0_.phi,
+                          node1_.phi,
+                          VecX::Zero(bilateral_),
+                          constraint_reach(node1_.q),
+                          1.0,
+                          h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0};
   if (rates) {
-    rate = node1_.W.leftCols(bilateral_).transpose() * v1_ + node1_.rate;
-    speed += v1_.cwiseAbs().maxCoeff() + node1_.rate.cwiseAbs().maxCoeff();
+    errors.rates = node1_.W.leftCols(bilateral_).transpose() * v1_ + node1_.rate;
+    errors.speed += v1_.cwiseAbs().maxCoeff() + node1_.rate.cwiseAbs().maxCoeff();
   }
-  const double remaining = h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0,
-               reach = std::max(1.0, kFar * node1_.q.cwiseAbs().maxCoeff());
-  double worst = 1.0;
-  for (const Constraint& c : scene_->tree.elements.constraints)
-    for (int k = c.row; k < c.row + c.rows; ++k) {
-      const double place = std::abs(node1_.phi[k]) - remaining * std::abs(node0_.phi[k]);
-      const double off = std::max(place / (kMet * reach), std::abs(rate[k]) / (kMetRate * speed));
-      if (off <= worst) continue;
-      worst = off;
-      violated_constraint_ = static_cast<int>(&c - scene_->tree.elements.constraints.data());
-    }
-  if (violated_constraint_ < 0 && rates) violated_constraint_ = find_prescribed_jump(h);
+  violated_constraint_ = find_violated(elements, errors);
+  if (violated_constraint_ < 0 && rates)
+    violated_constraint_ =
+        find_jump(elements, node1_.W.leftCols(bilateral_).transpose() * v_, node0_.rate, node1_.rate, h);
   if (violated_constraint_ >= 0) why_ = "the constraints cannot be met";
   return violated_constraint_ < 0;
-}
-
-// The constraint whose prescribed motion jumps, so that its joint or body has moved otherwise than the rates tell; -1:
-// none.
-int ContactStep::find_prescribed_jump(double h) const {
-  using Few = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 3, 1>;
-  const auto jumps = [&](int first, int count) {
-    const Few rate0 = -node0_.rate.segment(first, count), rate1 = -node1_.rate.segment(first, count);
-    const Few moved = node1_.W.middleCols(first, count).transpose().lazyProduct(v_);
-    const double most = kJump * (rate0.norm() + rate1.norm()) + kJumpRounding * (1.0 + 1.0 / h);
-    return (moved - 0.5 * (rate0 + rate1)).norm() > most;
-  };
-  const std::vector<Constraint>& all = scene_->tree.elements.constraints;
-  for (std::size_t i = 0; i < all.size(); ++i) {
-    const int row = all[i].row;
-    const bool joint = all[i].kind == ConstraintKind::kPrescribed && jumps(row, 1);
-    const bool frame = moving_frame(all[i]) && (jumps(row, 3) || jumps(row + 3, 3));
-    if (joint || frame) return static_cast<int>(i);
-  }
-  return -1;
 }
 
 ConeContact ContactStep::joint_friction_cone(int k, double bound) const {

@@ -180,7 +180,6 @@ class ContactStep final : public Stepper {
   void start_joint_friction(const VecCRef& v);
   void classify_joint_friction(double speed);
   bool constraints_met(double h, bool rates);
-  int find_prescribed_jump(double h) const;
   ConeContact joint_friction_cone(int k, double bound) const;
   // How well rows may agree that leave no choice, and the residual that is good enough; see ConeProblem.
   struct Agreement {

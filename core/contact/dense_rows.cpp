@@ -87,11 +87,15 @@ void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements
   }
 }
 
+void DenseRows::clear() {
+  problem_.contacts.clear();
+  rows_ = columns_ = 0;
+}
+
 void DenseRows::set(const std::vector<DenseContact>& contacts, const std::vector<int>& active, bool at_end,
                     const Placements& at, double h) {
   const Tree& tree = scene_->tree;
-  problem_.contacts.clear();
-  rows_ = columns_ = 0;
+  clear();
   for (int i : active) {
     const DenseContact& c = contacts[i];
     if (scene_->is_pair(c.point.guard)) {
@@ -111,17 +115,6 @@ void DenseRows::set(const std::vector<DenseContact>& contacts, const std::vector
     problem_.W[block.column + dof - problem_.start[t]] = 1.0;
   }
   problem_.offset.setZero(rows_);
-}
-
-double DenseRows::velocity(std::size_t k, int r, const VecX& v) const {
-  const BlockContact& c = problem_.contacts[k];
-  const int size_a = problem_.size(c.a), size_b = c.b >= 0 ? problem_.size(c.b) : 0;
-  double w = 0.0;
-  const double* a = problem_.W.data() + c.column + r * size_a;
-  for (int d = 0; d < size_a; ++d) w += a[d] * v[problem_.start[c.a] + d];
-  const double* b = problem_.W.data() + c.column + c.rows * size_a + r * size_b;
-  for (int d = 0; d < size_b; ++d) w += b[d] * v[problem_.start[c.b] + d];
-  return w;
 }
 
 void DenseRows::add_impulses(const VecX& lambda, VecX& p) const {

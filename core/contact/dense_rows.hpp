@@ -25,11 +25,14 @@ class DenseRows {
   void set(const std::vector<DenseContact>& contacts, const std::vector<int>& active, bool at_end, const Placements& at,
            double h);
 
+  // No rows.
+  void clear();
+
   BlockProblem& problem() { return problem_; }
   const BlockProblem& problem() const { return problem_; }
   const BlockContact& block(std::size_t k) const { return problem_.contacts[k]; }
   // Velocity of row r of block k, without its offset.
-  double velocity(std::size_t k, int r, const VecX& v) const;
+  double velocity(std::size_t k, int r, const VecX& v) const { return row_velocity(problem_, block(k), r, v); }
   // p += W lambda.
   void add_impulses(const VecX& lambda, VecX& p) const;
   // W_n M^-1 W_n^T of block k [1/kg].

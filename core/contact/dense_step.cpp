@@ -4,7 +4,9 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "contact/constraint_check.hpp"
 #include "contact/dense_energy.hpp"
+#include "model/constraints.hpp"
 #include "step/path.hpp"
 
 namespace contactvi {
@@ -13,6 +15,7 @@ namespace {
 constexpr int kStageIterations = 40;
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
+constexpr double kMet = 1e-14;            // of the coordinates: what constraints are closed to
 constexpr int kGapIterations = 30, kFirstGapIterations = 3;
 constexpr double kGapSolved = 1e-11;       // [m] to which gaps of loaded contacts are zero
 constexpr double kGapStalled = 0.9;        // share of the error that an iteration after the first ones may leave
@@ -53,6 +56,11 @@ DenseStep::DenseStep(const Scene& scene, Guards& guards, double tol)
   const Tree& tree = scene.tree;
   for (VecX* x : {&p0_, &v0_, &v_free_, &v_, &v1_, &p1_, &p_start_, &bound_, &work_}) *x = VecX::Zero(tree.nv);
   for (VecX* x : {&q0_, &q1_}) x->setZero(tree.nq);
+  const int rows = tree.elements.constraint_rows;
+  for (Constraints* node : {&start_, &end_}) {
+    node->W.setZero(tree.nv, rows);
+    for (VecX* x : {&node->phi, &node->rate, &node->mu}) x->setZero(rows);
+  }
   restart();
 }
 
@@ -86,9 +94,10 @@ void DenseStep::account(const BlockResult& result) {
 bool DenseStep::iterate_stage() {
   double last = INFINITY;
   for (int k = 0; k < kStageIterations; ++k) {
-    const double change = integrator_.iterate(p_start_, false, false);
+    double change = integrator_.iterate(p_start_, false, false);
     if (!std::isfinite(change)) break;
     integrator_.stage_velocity(v_);
+    if (constrained()) change = std::max(change, hold_constraints());
     const double size = 1.0 + v_.cwiseAbs().maxCoeff();
     if (change <= kStageRounding * size) return true;
     if (change > 0.5 * last && change <= kStageStalled * size) return true;
@@ -96,6 +105,54 @@ bool DenseStep::iterate_stage() {
   }
   return fail("the smooth equation of a dense step was not solved");
 }
+
+void DenseStep::evaluate(const VecX& q, double t, Constraints& node) {
+  guards_->place(q);
+  evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W, node.rate);
+}
+
+// Newton's method for the constraints at the end of the step with the velocity v_. Returns the largest change of v_.
+double DenseStep::hold_constraints() {
+  integrate(scene_->tree, q0_, v_, h_, q1_);
+  evaluate(q1_, t_ + h_, end_);
+  if (end_.phi.lpNorm<Eigen::Infinity>() <= kMet * (1.0 + q1_.lpNorm<Eigen::Infinity>())) return 0.0;
+  work_ = v_;
+  solver_.project(start_.W.transpose() * v_ - end_.phi / h_, v_);
+  work_ = v_ - work_;
+  start_.mu += solver_.multipliers(momentum(work_));
+  set_start_momentum();
+  integrator_.add_velocity(work_);
+  return work_.lpNorm<Eigen::Infinity>();
+}
+
+// M v with the masses of the present problem.
+VecX DenseStep::momentum(const VecX& v) const {
+  const BlockProblem& problem = rows_.problem();
+  VecX p(v.size());
+  for (int b = 0; b < problem.blocks(); ++b)
+    p.segment(problem.start[b], problem.size(b)) = problem.M[b] * v.segment(problem.start[b], problem.size(b));
+  return p;
+}
+
+void DenseStep::set_start_momentum() {
+  p_start_ = p0_;
+  rows_.add_impulses(lambda_, p_start_);
+  if (constrained()) p_start_ += start_.W * start_.mu;
+}
+
+// p <- with the impulses of the constraints that close their rates at the end q1_.
+void DenseStep::close_rates(VecX& p) {
+  MatX X = end_.W;
+  work_ = p;
+  integrator_.place_node(q1_);
+  integrator_.solve_masses(X);
+  integrator_.solve_mass(work_);
+  end_.mu = (end_.W.transpose() * X).completeOrthogonalDecomposition().solve(-end_.W.transpose() * work_ - end_.rate);
+  p += end_.W * end_.mu;
+}
+
+// The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
+double DenseStep::driven_work() const { return -start_.mu.dot(start_.rate) - end_.mu.dot(end_.rate); }
 
 bool DenseStep::solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   q0_ = q0;
@@ -105,7 +162,20 @@ bool DenseStep::solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, con
   integrator_.begin(q0, h, tau, v0_);
   p_start_ = p0;
   if (!std::isfinite(integrator_.iterate(p_start_, true, true))) return fail("a number is not finite");
+  rows_.clear();
+  lambda_.resize(0);
+  start_.mu.setZero();
+  end_.mu.setZero();
+  const auto take_masses = [this] {
+    rows_.set_masses([this](MatX& X) { integrator_.solve_step_matrix(X); });
+    solver_.set_equations(rows_.problem(), start_.W);
+  };
+  if (constrained()) {
+    evaluate(q0_, t_, start_);
+    take_masses();
+  }
   if (!iterate_stage()) return false;
+  take_masses();
   v_free_ = v_;
   return true;
 }
@@ -153,8 +223,7 @@ double DenseStep::offset(const DenseContact& c, std::size_t i) const {
 bool DenseStep::gap_iterations() {
   double last = INFINITY;
   for (int k = 0;; ++k) {
-    p_start_ = p0_;
-    rows_.add_impulses(lambda_, p_start_);
+    set_start_momentum();
     if (!iterate_stage()) return false;
     const double error = place_end();
     const bool stalls = k > kFirstGapIterations && error > kGapStalled * last;
@@ -287,8 +356,7 @@ bool DenseStep::position_impulses() {
   candidates_.contacts().resize(active_.size());
   for (std::size_t i = 0; i < active_.size(); ++i)
     candidates_.contacts()[active_[i]].closing = rows_.velocity(i, 0, v0_);
-  p_start_ = p0_;
-  rows_.add_impulses(lambda_, p_start_);
+  set_start_momentum();
   joint_friction_loss_ = -joint_friction_work(lambda_, v_);
   integrator_.set_start_momentum(p_start_);
   integrator_.finish(q1_, p1_);
@@ -317,6 +385,11 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   rows_.set_masses([this](MatX& X) { integrator_.solve_masses(X); });
   rows_.set(all, active_, true, guards_->placements(), h_);
   BlockProblem& problem = rows_.problem();
+  if (constrained()) {
+    evaluate(q1_, t_ + h_, end_);
+    solver_.set_equations(problem, end_.W);
+    solver_.project(-end_.rate, v1_);
+  }
   lambda_.setZero(problem.rows());
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const BlockContact& block = rows_.block(i);
@@ -396,26 +469,34 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
 
 bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, Kept kept) {
   why_ = "";
+  violated_constraint_ = -1;
   kept_ = kept;
   report_ = DenseReport();
   if (!solve_smooth(q0, p0, h, tau)) return false;
   if (recorder_) recorder_->begin(q0_, p0_, h, kept == Kept::kEnergy);
   const Energy before = energy(integrator_, q0, p0);
+  integrator_.set_start_momentum(p_start_);
   integrator_.finish(q1_, p1_);
+  if (constrained()) close_rates(p1_);
   const Energy free = energy(integrator_, q1_, p1_);
-  const double smooth_error = std::abs(total(free) - total(before) - integrator_.work());
-  rows_.set_masses([this](MatX& X) { integrator_.solve_step_matrix(X); });
+  const double smooth_error = std::abs(total(free) - total(before) - integrator_.work() - driven_work());
   if (recorder_) recorder_->take_masses(rows_.problem());
   bound_velocities();
   if (!position_impulses()) return false;
   const Energy middle = energy(integrator_, q1_, p1_);
   report_.energy_error =
       kEnergyRounding * (size_of(before) + size_of(free)) + smooth_error + contacts_error(before, free, middle);
-  if (!velocity_impulses(total(before) + integrator_.work() + report_.energy_error - middle.potential)) return false;
+  // What constraints drive does work that depends on the impulses: no bound on the energy is known before them.
+  const double bound = total(before) + integrator_.work() + report_.energy_error - middle.potential;
+  if (!velocity_impulses(scene_->tree.elements.driven() ? INFINITY : bound)) return false;
+  if (constrained()) {
+    report_.energy_error += take_reactions();
+    if (!constraints_met()) return fail("the constraints cannot be met");
+  }
   joint_friction_loss_ -= joint_friction_work(lambda_end_, v1_);
   set_results(lambda_end_);
-  const double change =
-      0.5 * p1_.dot(v1_) + middle.potential - total(before) - (integrator_.work() - joint_friction_loss_);
+  const double change = 0.5 * p1_.dot(v1_) + middle.potential - total(before) -
+                        (integrator_.work() + driven_work() - joint_friction_loss_);
   report_.energy_rise = std::max(0.0, change - report_.energy_error);
   report_.energy_loss = -change;
   if (recorder_) {
@@ -424,6 +505,26 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
     record().repaired = report_.repaired;
   }
   return q1_.allFinite() && std::isfinite(change) ? true : fail("a number is not finite");
+}
+
+// The impulses of the constraints at the end, of which p1_ is without. Driven constraints move by the mean of their
+// speeds at both ends, the trapezoid of which driven_work() is the work, and the bodies by the step: returns what these
+// differ by [J].
+double DenseStep::take_reactions() {
+  end_.mu = solver_.multipliers(momentum(v1_) - p1_);
+  p1_ += end_.W * end_.mu;
+  const VecX mean = 0.5 * ((start_.W + end_.W).transpose() * v_ + start_.rate + end_.rate);
+  return std::abs((start_.mu + end_.mu).dot(mean));
+}
+
+bool DenseStep::constraints_met() {
+  const Elements& elements = scene_->tree.elements;
+  violated_constraint_ =
+      find_violated(elements, {start_.phi, end_.phi, end_.W.transpose() * v1_ + end_.rate, constraint_reach(q1_),
+                               1.0 + v1_.cwiseAbs().maxCoeff() + end_.rate.cwiseAbs().maxCoeff(), 0.0});
+  if (violated_constraint_ < 0)
+    violated_constraint_ = find_jump(elements, end_.W.transpose() * v_, start_.rate, end_.rate, h_);
+  return violated_constraint_ < 0;
 }
 
 // Work [J] of the impulses of joint friction in a problem with its rows, at the velocity v.

@@ -5,6 +5,8 @@
 //   1. position impulse   p0 + W0^T L1 = smooth equation of v, q1 = q0 (+) h v,   0 <= L1_n _|_ phi(q1) >= 0, Coulomb
 //   2. velocity impulse   over the closed ones, plastic: 0 <= L2_n _|_ w_n >= 0 at q1, Coulomb
 //   3. restitution        contacts that closed fast: Poisson's expansion, an impulse of at least e (L1 + L2)_n
+// Constraints are equations beside these laws (cone/constrained_solver.hpp): the position impulse closes them at q1,
+// the velocity impulse their rates.
 // Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988; Acary, Brogliato, "Numerical methods
 // for nonsmooth dynamical systems", 2008; nonsmooth RATTLE: Breuling, Capobianco, Eugster, Leine, 2024. It is of first
 // order where impacts lie inside the step, of second where none do.
@@ -17,7 +19,7 @@
 #include <memory>
 #include <vector>
 
-#include "cone/block_solver.hpp"
+#include "cone/constrained_solver.hpp"
 #include "contact/dense_recorder.hpp"
 #include "contact/dense_rows.hpp"
 #include "step/energy.hpp"
@@ -43,9 +45,10 @@ class DenseStep {
   DenseStep(const DenseStep&) = delete;
   DenseStep& operator=(const DenseStep&) = delete;
 
-  // False for scenes with constraints, whose rows the dense step does not have.
-  bool available() const { return scene_->tree.elements.constraint_rows == 0; }
-  void set_time(double t) { integrator_.set_time(t); }
+  void set_time(double t) {
+    t_ = t;
+    integrator_.set_time(t);
+  }
   // Length of a whole step, in which overlaps of rounding are closed [s]; a longer one counts as whole.
   void set_nominal(double h) { nominal_h_ = h; }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
@@ -79,8 +82,13 @@ class DenseStep {
   int deepest() const { return candidates_.deepest(); }
   double h() const { return h_; }
   double joint_friction_loss() const { return joint_friction_loss_; }
+  double driven_work() const;
+  // Impulses of the rows of the constraints in the step [N s; N m s].
+  VecX constraint_impulses() const { return start_.mu + end_.mu; }
   const StepEquations& integrator() const { return integrator_; }
   const char* why() const { return why_; }
+  // The constraint that the last step could not satisfy, -1: none.
+  int violated_constraint() const { return violated_constraint_; }
 
   // All that the next step depends on.
   struct Memory {
@@ -94,9 +102,22 @@ class DenseStep {
   void recall(const Memory& memory) { memory_ = memory; }
 
  private:
+  // The constraints at an end of the step: rows (nv, m), residuals, rates at fixed q, and impulses.
+  struct Constraints {
+    MatX W;
+    VecX phi, rate, mu;
+  };
+  bool constrained() const { return start_.phi.size() > 0; }
   bool fail(const char* why);
   bool solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   bool iterate_stage();
+  void evaluate(const VecX& q, double t, Constraints& node);
+  double hold_constraints();
+  void set_start_momentum();
+  void close_rates(VecX& p);
+  double take_reactions();
+  bool constraints_met();
+  VecX momentum(const VecX& v) const;
   void bound_velocities();
   bool position_impulses();
   bool position_problem();
@@ -116,13 +137,14 @@ class DenseStep {
   const Scene* scene_;
   Guards* guards_;
   ImpulseStep integrator_;
-  BlockSolver solver_;
+  ConstrainedSolver solver_;
   DenseCandidates candidates_;
   DenseRows rows_, end_rows_;     // end_rows_: of the contacts lasting_, for their slips
   std::vector<int> active_;       // contacts of the present problem; joint friction follows them
   std::vector<int> lasting_;      // those among them that were loaded in the last step
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
   Memory memory_;
+  Constraints start_, end_;
   VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_;
   VecX p_start_, bound_, work_;  // momentum after the position impulse; bound on the velocities; workspace
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
@@ -131,7 +153,8 @@ class DenseStep {
   std::unique_ptr<DenseRecorder> recorder_;
   double closeness_,
       gap_solved_;  // share of what is usually left, at most 1; gaps of loaded contacts that count as zero
-  double h_ = 0.0, nominal_h_ = 0.0, joint_friction_loss_ = 0.0;
+  double t_ = 0.0, h_ = 0.0, nominal_h_ = 0.0, joint_friction_loss_ = 0.0;
+  int violated_constraint_ = -1;
   const char* why_ = "";
 };
 

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "model/step_costs.hpp"
 #include "geometry/box.hpp"
+#include "model/step_costs.hpp"
 
 namespace contactvi {
 

@@ -12,7 +12,7 @@ namespace contactvi::costs {
 
 inline double contact_iteration(double rows) { return 2.0 + 0.03 * rows * rows; }
 inline double cone_iteration(double rows) { return 0.5 + 5e-4 * rows * rows * rows; }
-inline double contact_step() { return 8.0; }  // besides its iterations: events, forces
+inline double contact_step() { return 8.0; }   // besides its iterations: events, forces
 inline double impact() { return 5.0; }         // besides its distances
 inline double near_distance() { return 0.3; }  // in closed form, and to a ball
 inline double distance() { return 2.0; }       // by coal

@@ -22,6 +22,11 @@ constexpr double kAtStart = 1e-10;         // of a contact step: an event that i
 constexpr double kEnergyRounding = 1e-12;  // of the energies
 }  // namespace
 
+bool Simulator::end_violated(int constraint, double time) {
+  return end(StatusCode::kConstraint, time,
+             "the constraints cannot be met, first " + scene_->tree.elements.constraints[constraint].name);
+}
+
 bool Simulator::retry_contact_step(double h, double time) {
   if (user_function_failed(time)) return false;
   const bool runs = contact_step_.rim_turns_far() || contact_step_.runs_along_lines();
@@ -30,9 +35,7 @@ bool Simulator::retry_contact_step(double h, double time) {
     return end(StatusCode::kEventUnresolved, time, "a contact runs from end to end of two lines, which is an impact");
   const bool shortest = h < (runs ? kShortestSwing : StepControl::kShortest) * current_dt();
   if (shortest && contact_step_.violated_constraint() >= 0)
-    return end(StatusCode::kConstraint, time,
-               "the constraints cannot be met, first " +
-                   scene_->tree.elements.constraints[contact_step_.violated_constraint()].name);
+    return end_violated(contact_step_.violated_constraint(), time);
   if (shortest)
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with persistent contacts was not solved: ") +

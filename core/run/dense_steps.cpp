@@ -28,7 +28,9 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
-  return options_.contact_steps != ContactSteps::kEvents && dense_step_.available() && allows_persistent_contact();
+  // Dense steps with constraints have no derivative yet.
+  const bool recordable = !options_.gradient || scene_->tree.elements.constraint_rows == 0;
+  return options_.contact_steps != ContactSteps::kEvents && recordable && allows_persistent_contact();
 }
 
 // What locating events has cost so far [us].
@@ -134,12 +136,16 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
       solved = dense_step_.solve(state_.q, state_.p, h, interval.tau, DenseStep::Kept::kEnergy);
     if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
+    if (shortest && dense_step_.violated_constraint() >= 0) return end_violated(dense_step_.violated_constraint(), at);
     h *= 0.5;
     share *= 0.5;
     ++state_.control.halved;
     if (h < kShortestDense * nominal)
       return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
   }
+  const int deepest = dense_step_.deepest();
+  if (scene_->tree.elements.driven() && deepest >= 0 && dense_step_.report().gap < -guards_.promised(deepest))
+    return end(StatusCode::kConstraint, at, "what the constraints drive leaves this contact no way out", deepest);
   dense_step_.finish(q1_, p1_);
   if (!stays_in_range(at)) return false;
   state_.dense.longest = 2.0 * h < nominal ? 2.0 * h : 0.0;

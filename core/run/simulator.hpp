@@ -217,6 +217,7 @@ class Simulator {
 
   // dense_steps.cpp: dense steps, and the decision between them and located events.
   bool allows_dense_steps() const;
+  bool end_violated(int constraint, double time);
   double located_cost() const;
   double allowed_cost(double length) const;
   bool locating_pays(int rows, int points) const;

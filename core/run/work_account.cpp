@@ -32,6 +32,8 @@ void WorkAccount::add(const DenseStep& step) {
   tally_.input += step.integrator().input_work();
   tally_.damping += step.integrator().damping_loss();
   tally_.joint_friction += step.joint_friction_loss();
+  tally_.driven += step.driven_work();
+  tally_.reactions += step.constraint_impulses();
 }
 
 void WorkAccount::add(const ImpactSequence& impacts) {

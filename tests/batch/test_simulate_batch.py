@@ -156,7 +156,7 @@ def test_one_warning_of_dense_steps(tmp_path):
     starts = np.tile(scene.neutral(), (2, 1))
     for path in (None, tmp_path / "a"):
         with pytest.warns(cvi.DenseStepWarning, match="2 of 2 runs") as found:
-            cvi.simulate_batch(scene, starts, dt=1e-3, duration=0.25, path=path)
+            cvi.simulate_batch(scene, starts, dt=1e-3, duration=0.5, path=path)
         assert [Path(warning.filename).name for warning in found] == [Path(__file__).name]
     scene, q, v = thrown_box()
     with warnings.catch_warnings(record=True) as caught:

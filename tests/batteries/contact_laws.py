@@ -22,6 +22,7 @@ STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
 FEATURE_BITS, CROSSING = 40, 1  # the number of a feature begins with its kind: 0 is coal's, 1 a crossing of edges
 # [m] accuracy of gaps: of closed forms, and of distances from coal's nearest points
 GAP, GAP_ITERATED = 1e-10, 1e-9
+PROMISED = 1e-9  # [m] at nodes of dense steps
 CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms at worst
 # [m] rounding of positions of some metres, and of the distances that coal iterates
 PLACE, PLACE_ITERATED = 1e-14, 1e-11
@@ -79,6 +80,8 @@ def pair_tolerances(scene: cvi.Scene) -> Array:
 def gap_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     """No pair and no limit overlaps at a node."""
     core, bound = traj.scene.core(), pair_tolerances(traj.scene)
+    if len(traj.dense_steps):
+        bound = np.maximum(bound, PROMISED)
     if len(bound):
         gaps = np.array([core.gaps(q)[0][: len(bound)] for q in traj.q])
         pair = np.argmax(-gaps - bound, axis=1)

@@ -1,0 +1,26 @@
+// Whether a step has met its constraints, and its motion what they prescribe.
+#pragma once
+
+#include "model/elements.hpp"
+
+namespace contactvi {
+
+// What a step has left of its constraints, shapes (m,).
+struct ConstraintErrors {
+  VecX start, end;      // residuals phi
+  VecX rates;           // d phi/dt of the motion at the end
+  double reach, speed;  // what places [m; rad] and speeds are compared with
+  double remaining;     // share of the residuals at the start that the step leaves
+};
+
+// The constraint that is farthest from being met, -1: all are.
+int find_violated(const Elements& elements, const ConstraintErrors& errors);
+
+// The constraint whose prescribed motion jumps in a step of length h, so that its joint or body has moved otherwise
+// than the rates d phi/dt at both ends tell; -1: none. moved: W^T v of the step's motion, (m,).
+int find_jump(const Elements& elements, const VecX& moved, const VecX& rate0, const VecX& rate1, double h);
+
+// The coordinates of a configuration with which residuals are compared.
+double constraint_reach(const VecX& q);
+
+}  // namespace contactvi
