@@ -30,6 +30,9 @@ constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
 constexpr double kBothEnds = 2.0;          // the force of a contact acts half at the start of the step, half at its end
 constexpr double kLifted = 1e-7;  // of the kinetic energy: what an impact moves gaps by within their rounding is less
+// Of what servos, inputs and dampers exchange in a step: stiff ones change the velocities at its ends, where the impulses
+// of contacts act, more than that in its middle.
+constexpr double kWorkShare = 1e-3;
 constexpr double kEnergyShare = 1e-8;  // of the kinetic energy: smaller gains are not worth a shorter step
 
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
@@ -463,8 +466,9 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
   for (const Joint& joint : scene_->tree.joints) forces += joint.mass * scene_->tree.gravity.norm();
   for (const DenseImpulse& last : memory_.impulses) forces += last.position_force.norm() + last.velocity_force.norm();
   const double lifted = kBothEnds * forces * (gap_solved_ + DenseCandidates::kGapPromised) + kLifted * before.kinetic;
-  return std::min(lifts / h_, lifted) + std::min(curved, smooth) + kEnergyShare * before.kinetic +
-         turning_error(scene_->tree, v_, h_, before, free, middle);
+  const double exchanged = std::abs(integrator_.input_work()) + integrator_.damping_loss();
+  return std::min(lifts / h_, lifted) + std::min(curved, smooth) + kWorkShare * exchanged +
+         kEnergyShare * before.kinetic + turning_error(scene_->tree, v_, h_, before, free, middle);
 }
 
 bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, Kept kept) {

@@ -30,16 +30,43 @@ Guards::Guards(const Scene& scene, int contact_points)
       placed_for_(scene.tree.joints.size(), -1),
       distance_bounds_(scene.pairs.size()),
       linear_(scene.tree.joints.size()),
+      linear_in_root_(scene.tree.joints.size()),
+      turn_in_root_(scene.tree.joints.size()),
       motion_(make_reach()),
       doubt_(make_reach()),
       expected_(make_reach()),
-      odometer_(scene.geometries.size()),
-      interval_start_(scene.geometries.size()),
+      odometer_(2 * scene.geometries.size()),
+      interval_start_(2 * scene.geometries.size()),
       gap_(count_),
       gap_for_(count_, -1),
       marks_(count_, -1.0),
       broad_phase_(scene),
-      span_(scene.tree.nv) {}
+      span_(scene.tree.nv) {
+  find_roots();
+}
+
+// A joint is a root if it moves all that its tree moves: the first one, and what follows on one without shapes.
+void Guards::find_roots() {
+  const Tree& tree = scene_->tree;
+  const std::size_t n = tree.joints.size();
+  std::vector<int> followers(n, 0), tree_of(n, 0);
+  for (const Joint& joint : tree.joints)
+    if (joint.parent >= 0) ++followers[joint.parent];
+  for (const Geometry& g : scene_->geometries)
+    if (g.body >= 0) ++followers[g.body];
+  is_root_.assign(n, 0);
+  for (std::size_t i = 0; i < n; ++i) {
+    const int parent = tree.joints[i].parent;
+    is_root_[i] = parent < 0 || (is_root_[parent] != 0 && followers[parent] == 1);
+    tree_of[i] = parent < 0 ? static_cast<int>(i) : tree_of[parent];
+  }
+  const int in_root = static_cast<int>(scene_->geometries.size());
+  for (const Pair& pair : scene_->pairs) {
+    const int a = scene_->geometries[pair.a].body, b = scene_->geometries[pair.b].body;
+    const int add = a >= 0 && b >= 0 && tree_of[a] == tree_of[b] ? in_root : 0;
+    ways_.emplace_back(pair.a + add, pair.b + add);
+  }
+}
 
 void Guards::place(const VecCRef& q) {
   if ((q.array() == q_.array()).all()) return;
@@ -268,7 +295,7 @@ double Guards::depth_tolerance(int guard) const {
 }
 
 Guards::Reach Guards::make_reach() const {
-  return {std::vector<double>(scene_->geometries.size()), std::vector<double>(scene_->tree.limits.size()),
+  return {std::vector<double>(2 * scene_->geometries.size()), std::vector<double>(scene_->tree.limits.size()),
           std::vector<double>(scene_->tree.joints.size())};
 }
 
@@ -309,24 +336,30 @@ void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, doub
         arm += q.segment<3>(joint.iq).norm() + steps * linear;
         break;
     }
+    double linear_in_root = linear, angular_in_root = angular;
     if (joint.parent >= 0) {
       linear += linear_[joint.parent] + reach.turn[joint.parent] * arm;
       angular += reach.turn[joint.parent];
+      linear_in_root += linear_in_root_[joint.parent] + turn_in_root_[joint.parent] * arm;
+      angular_in_root += turn_in_root_[joint.parent];
     }
     reach.turn[i] = angular;
     linear_[i] = linear;
+    linear_in_root_[i] = is_root_[i] != 0 ? 0.0 : linear_in_root;
+    turn_in_root_[i] = is_root_[i] != 0 ? 0.0 : angular_in_root;
   }
-  for (std::size_t g = 0; g < reach.geometry.size(); ++g) {
+  const std::size_t count = scene_->geometries.size();
+  for (std::size_t g = 0; g < count; ++g) {
     const Geometry& geometry = scene_->geometries[g];
     const int body = geometry.body;
     reach.geometry[g] = body < 0 ? 0.0 : linear_[body] + reach.turn[body] * geometry.reach;
+    reach.geometry[count + g] = body < 0 ? 0.0 : linear_in_root_[body] + turn_in_root_[body] * geometry.reach;
   }
 }
 
 double Guards::reach_of(const Reach& reach, int guard) const {
   if (guard >= pairs_) return reach.limit[guard - pairs_];
-  const Pair& pair = scene_->pairs[guard];
-  return reach.geometry[pair.a] + reach.geometry[pair.b];
+  return both(reach.geometry, guard);
 }
 
 double Guards::motion(int guard) const { return reach_of(motion_, guard); }
@@ -342,8 +375,7 @@ double Guards::turn(int guard) const {
 
 bool Guards::skip(int guard) const {
   if (guard >= pairs_) return false;  // a joint limit costs one subtraction
-  const Pair& pair = scene_->pairs[guard];
-  return odometer_[pair.a] + odometer_[pair.b] + 2.0 * motion(guard) < marks_[guard];
+  return both(odometer_, guard) + 2.0 * motion(guard) < marks_[guard];
 }
 
 bool Guards::separated_at_end(int guard) {
@@ -377,7 +409,7 @@ void Guards::mark(int guard, double gap_at_end) {
   // Against a halfspace all of them are looked at.
   const bool all = scene_->geometries[pair.a].unbounded || scene_->geometries[pair.b].unbounded;
   if (is_persistent(guard) && !all) return;
-  marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion(guard) + gap_at_end;
+  marks_[guard] = both(odometer_, guard) + motion(guard) + gap_at_end;
 }
 
 // Before an odometer changes, or what a span expects.
@@ -403,7 +435,7 @@ void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
   const auto limit = [&allowed](double room, double motion) {
     if (!(room >= allowed * motion)) allowed = room / motion;
   };
-  for (std::size_t g = 0; g < odometer_.size(); ++g)
+  for (std::size_t g = 0; g < scene_->geometries.size(); ++g)
     limit(broad_phase_.limit(static_cast<int>(g)) - odometer_[g], expected_.geometry[g]);
   for (int k = pairs_; k < count_; ++k) limit(limit_gap(k, q1), expected_.limit[k - pairs_]);
   if (!(allowed > 0.0)) return;
@@ -436,8 +468,7 @@ double Guards::span_of_pairs(double enough) {
 }
 
 double Guards::span_of(const BroadPhase::NearPair& pair) const {
-  const double room = marks_[pair.guard] - odometer_[pair.a] - odometer_[pair.b],
-               motion = expected_.geometry[pair.a] + expected_.geometry[pair.b];
+  const double room = marks_[pair.guard] - both(odometer_, pair.guard), motion = both(expected_.geometry, pair.guard);
   return room >= ClearSpan::kLongest * motion ? ClearSpan::kLongest : room / motion;
 }
 
@@ -445,8 +476,8 @@ double Guards::span_of(const BroadPhase::NearPair& pair) const {
 // from its last evaluation, or the distance. False: there is none.
 bool Guards::refine(const BroadPhase::NearPair& pair) {
   if (is_persistent(pair.guard)) return false;
-  const double odometers = odometer_[pair.a] + odometer_[pair.b], before = marks_[pair.guard],
-               motion = expected_.geometry[pair.a] + expected_.geometry[pair.b];
+  const double odometers = both(odometer_, pair.guard), before = marks_[pair.guard],
+               motion = both(expected_.geometry, pair.guard);
   const double distance = distance_bound(pair.guard, kShortSpan * motion);
   if (!(odometers + distance > before)) return false;
   marks_[pair.guard] = odometers + distance;

@@ -5,7 +5,8 @@
 // half-open interval (0, 1] of the step. A guard that had an impact, or whose gap starts at zero, is "touching":
 // it is excluded until it has separated, unless it closes again. A start below zero is an error, never projected away.
 //
-// Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
+// Skipping. Each geometry has two odometers: bounds on how far any of its points has moved in the world, and in the
+// frame of the root of its tree, which is what counts for pairs of one robot. A pair whose distance was
 // d when it was last evaluated is skipped until the two odometers have nearly advanced by d; then its bounding spheres
 // are compared, then the extents of its shapes along the direction of the shortest line of the last evaluation
 // (distance_bounds.hpp), and their distance is evaluated only if they may touch. Pairs that are far from each other
@@ -179,13 +180,19 @@ class Guards {
   GuardCounters counters;
 
  private:
-  // How far everything can move in a step: per geometry any of its points, per joint limit, per body its rotation.
+  // How far everything can move in a step: per geometry any of its points, in the world and then in the frame of its
+  // root, per joint limit, per body its rotation.
   struct Reach {
     std::vector<double> geometry, limit, turn;
   };
   Reach make_reach() const;
   void propagate_reach(const VecCRef& q, const VecX& bound, double h, double steps, Reach& reach);
   double reach_of(const Reach& reach, int guard) const;
+  // Of the two shapes of a pair together, of quantities per geometry as in Reach.
+  double both(const std::vector<double>& values, int guard) const {
+    return values[ways_[guard].first] + values[ways_[guard].second];
+  }
+  void find_roots();
   double used_before(int interval) const { return interval > 0 ? span_.used_after(interval) : span_.used(); }
   void place_body(int body);
   void place_pair(int guard);
@@ -213,17 +220,20 @@ class Guards {
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
   DistanceBounds distance_bounds_;
-  std::vector<double> linear_;            // per body: bound on its origin's displacement
-  Reach motion_, doubt_, expected_;       // expected: in a reference step of the span
-  std::vector<double> odometer_;          // per geometry
-  std::vector<double> interval_start_;    // as it was where the interval began, kept where it is about to change
-  double interval_used_ = 0.0;            // of the span, where the interval began
-  bool any_look_ = false;                 // whether a step of the interval looked at guards
-  long spans_ = 0;                        // how many spans have begun
-  static constexpr double kNoises = 4.0;  // tolerances of depth
-  std::vector<double> gap_;               // of each guard at its last evaluation,
-  std::vector<long> gap_for_;             // and the configuration of that
-  std::vector<double> marks_;             // per guard: odometer sum up to which it may be skipped
+  std::vector<double> linear_;  // per body: bound on its origin's displacement
+  std::vector<double> linear_in_root_, turn_in_root_;
+  std::vector<char> is_root_;              // per joint: whether all shapes of its tree move with it
+  std::vector<std::pair<int, int>> ways_;  // of each pair: where the motions of its shapes are in Reach::geometry
+  Reach motion_, doubt_, expected_;        // expected: in a reference step of the span
+  std::vector<double> odometer_;           // per geometry, twice as in Reach
+  std::vector<double> interval_start_;     // as it was where the interval began, kept where it is about to change
+  double interval_used_ = 0.0;             // of the span, where the interval began
+  bool any_look_ = false;                  // whether a step of the interval looked at guards
+  long spans_ = 0;                         // how many spans have begun
+  static constexpr double kNoises = 4.0;   // tolerances of depth
+  std::vector<double> gap_;                // of each guard at its last evaluation,
+  std::vector<long> gap_for_;              // and the configuration of that
+  std::vector<double> marks_;              // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
   bool span_ended_ = false;  // whether the step whose motion is bounded follows one of a span
