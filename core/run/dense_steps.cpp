@@ -16,7 +16,11 @@ namespace contactvi {
 namespace {
 // Locating events may cost as many times what dense steps of the same length cost: it tells more about the motion.
 constexpr double kDearer = 3.0;
-constexpr double kBurst = 8e4;     // [us] of bursts besides; those of a grasp reach 7e4 (test_hand_scene.py)
+// A step to which nothing happens may cost more: what stays at rest with located events is not solved any more.
+constexpr double kQuietDearer = 5.0;
+// [us] of bursts besides, of few points; those of a grasp reach 8e4 (test_hand_scene.py). With many points the order of
+// impacts is hardly determined by the scene, and to locate them is worth less.
+constexpr double kBurst = 1e5, kFew = 4.0;
 constexpr double kCounted = 1e-3;  // [s] length of the dense steps that count, unless those of contact are shorter
 constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
@@ -40,18 +44,23 @@ double Simulator::located_cost() const {
 
 // Whether contacts with so many rows and points are worth steps with events, if nothing happens to them.
 bool Simulator::locating_pays(int rows, int points) const {
-  return !allows_dense_steps() || costs::quiet_contact_step(rows) <= kDearer * dense_cost_.step(points);
+  return !allows_dense_steps() || costs::quiet_contact_step(rows) <= kQuietDearer * dense_cost_.step(points);
+}
+
+// The points of contact of the present instant.
+double Simulator::points_now() const {
+  return static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
 }
 
 // What locating events may cost in an interval of this length [us].
 double Simulator::allowed_cost(double length) const {
-  const std::size_t points = std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count());
-  return kDearer * length / std::min(contact_dt(), kCounted) * dense_cost_.step(static_cast<double>(points));
+  return kDearer * length / std::min(contact_dt(), kCounted) * dense_cost_.step(points_now());
 }
 
 // Whether it has cost more than dense steps by far.
 bool Simulator::events_accumulate(double cost, double length) const {
-  return state_.dense.located.excess + cost > kBurst + allowed_cost(length);
+  const double few = std::min(1.0, kFew / std::max(1.0, points_now()));
+  return state_.dense.located.excess + cost > kBurst * few * few + allowed_cost(length);
 }
 
 // Whether a run that has ended so goes on with dense steps.
