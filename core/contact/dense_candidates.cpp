@@ -9,6 +9,7 @@ namespace {
 constexpr double kLimitPromised = 5e-11;  // [m; rad] of joint limits, which are exact
 constexpr double kLimitJoins = 1e-11;     // [m; rad] overlap of limits from which points that became near take part
 constexpr double kSamePoint = 1e-7;       // [m] points of one feature nearer to each other are one
+constexpr double kOpen = 0.25;            // of its motion: a gap that is wider without impulses hardly closes by them
 constexpr double kAnyTurn = 2.0;          // above the sine of any angle: a crossing of edges becomes a plane
 }  // namespace
 
@@ -28,7 +29,7 @@ void DenseCandidates::begin(const VecCRef& q0, double h, double nominal_h) {
   contacts_.clear();
 }
 
-void DenseCandidates::collect(const VecX& bound, const std::vector<DenseImpulse>& impulses) {
+void DenseCandidates::collect(const VecX& bound, const VecX& q_free, const std::vector<DenseImpulse>& impulses) {
   guards_->bound_motion(q0_, bound, h_);
   guards_->place(q0_);
   guards_to_look_at_.clear();
@@ -38,11 +39,25 @@ void DenseCandidates::collect(const VecX& bound, const std::vector<DenseImpulse>
   for (int g : guards_to_look_at_) {
     const auto last = near_.begin() + static_cast<std::ptrdiff_t>(known);
     if (std::any_of(near_.begin(), last, [g](const Near& near) { return near.guard == g; })) continue;
-    Near near{};
-    if (!is_near(g, near)) continue;
-    near_.push_back(near);
-    add_points(near, impulses);
+    if (!guards_->separated_at_end(g)) near_.push_back({g, 0.0, guards_->motion(g), allowed(0.0), {}, false});
   }
+  guards_->place(q_free);
+  for (std::size_t k = known; k < near_.size(); ++k) near_[k].watched = stays_open(near_[k].guard, impulses);
+  guards_->place(q0_);
+  const auto far = [this](Near& near) { return !near.watched && !is_near(near); };
+  near_.erase(std::remove_if(near_.begin() + static_cast<std::ptrdiff_t>(known), near_.end(), far), near_.end());
+  for (std::size_t k = known; k < near_.size(); ++k)
+    if (!near_[k].watched) add_points(near_[k], impulses);
+}
+
+// Whether a pair that is not loaded is so far open where the guards are placed, at the end of the step without impulses,
+// that impulses of others will hardly close it.
+bool DenseCandidates::stays_open(int guard, const std::vector<DenseImpulse>& impulses) {
+  if (!scene_->is_pair(guard)) return false;
+  const auto of_guard = [guard](const DenseImpulse& impulse) { return impulse.guard == guard; };
+  if (std::any_of(impulses.begin(), impulses.end(), of_guard)) return false;
+  const double open = kOpen * guards_->motion(guard);
+  return guards_->distance_bound(guard, open) > open;
 }
 
 // An overlap at the start goes no faster than a body falls in the step: pushed out at once it would become a speed. One
@@ -55,11 +70,9 @@ double DenseCandidates::allowed_rate() const {
   return scene_->tree.gravity.norm() * h_ + (share_ < 1.0 ? kGapPromised * share_ / h_ : 0.0);
 }
 
-bool DenseCandidates::is_near(int guard, Near& near) {
-  if (guards_->separated_at_end(guard)) return false;
-  near.guard = guard;
-  near.gap0 = guards_->evaluate_witness(guard, near.witness0);
-  near.reach = guards_->motion(guard);
+// Where the guards are placed at the start of the step.
+bool DenseCandidates::is_near(Near& near) {
+  near.gap0 = guards_->evaluate_witness(near.guard, near.witness0);
   near.allowed = allowed(near.gap0);
   return near.gap0 <= near.reach;
 }
@@ -181,8 +194,10 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   gap_ = gap_noise_ = excess_ = 0.0;
   deepest_ = -1;
   bool limit_overlaps = false;
+  closing_.clear();
   guards_->place(q1);
   for (const Near& near : near_) {
+    if (near.watched && guards_->distance_bound(near.guard, 0.0) > 0.0) continue;
     Contact witness;
     const double gap = guards_->evaluate_witness(near.guard, witness);
     const bool pair = scene_->is_pair(near.guard);
@@ -198,6 +213,10 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
     }
     limit_overlaps |= !pair && excess < -kLimitJoins;
     if (!(excess < -noise) || !pair) continue;
+    if (near.watched) {
+      closing_.push_back(&near - near_.data());
+      continue;
+    }
     const std::size_t count = points_.size();
     guards_->manifolds().find(near.guard, guards_->placements(), witness, 0.0, points_);
     for (std::size_t k = count; k < points_.size(); ++k) laws_.push_back(frozen(points_[k], witness));
@@ -213,6 +232,13 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   }
   for (std::size_t k = 0; k < points_.size(); ++k)
     added |= add(points_[k], laws_[k], near_of(points_[k].guard), impulses, true);
+  for (std::ptrdiff_t k : closing_) {
+    Near& near = near_[static_cast<std::size_t>(k)];
+    near.watched = false;
+    is_near(near);
+    add_points(near, impulses);
+    added = true;
+  }
   return added;
 }
 

@@ -44,8 +44,9 @@ class DenseCandidates {
   // For a step of length h from q0; nominal_h: that of a whole step.
   void begin(const VecCRef& q0, double h, double nominal_h);
   // Adds the points of the pairs that may close with velocities within bound, shape (nv,), as far as they are not known
-  // yet. impulses: of the last step.
-  void collect(const VecX& bound, const std::vector<DenseImpulse>& impulses);
+  // yet, where they are loaded or nearly close at q_free, the end of the step without impulses; those of others join
+  // where they overlap in the end. impulses: of the last step.
+  void collect(const VecX& bound, const VecX& q_free, const std::vector<DenseImpulse>& impulses);
   // Looks at the pairs at the end q1 of the step. Points that overlap there and are none of the first `known` contacts
   // join, and crossings that have run off their edges there become a point of one body over a plane of the other. True
   // if there were any: then the step is to be solved again with them.
@@ -71,10 +72,12 @@ class DenseCandidates {
     double gap0, reach;  // reach: how much nearer its bodies may come [m]
     double allowed;      // as of a contact
     Contact witness0;
+    bool watched;  // its points are no candidates, and gap0 and witness0 are not known
   };
 
   double allowed(double gap0) const;
-  bool is_near(int guard, Near& near);
+  bool stays_open(int guard, const std::vector<DenseImpulse>& impulses);
+  bool is_near(Near& near);
   void add_points(const Near& near, const std::vector<DenseImpulse>& impulses);
   void add_ends(const Near& near, const std::vector<DenseImpulse>& impulses);
   void add_rims(const Near& near, const std::vector<DenseImpulse>& impulses);
@@ -97,6 +100,7 @@ class DenseCandidates {
   std::vector<DenseContact> contacts_;
   std::vector<ContactPoint> points_, laws_;
   std::vector<std::size_t> run_off_;
+  std::vector<std::ptrdiff_t> closing_;  // pairs that are watched and overlap at the end
   VecX q0_;
   double h_ = 0.0, share_ = 1.0, gap_ = 0.0, gap_noise_ = 0.0;
   int deepest_ = -1;

@@ -342,7 +342,8 @@ bool DenseStep::position_problem() {
 bool DenseStep::position_impulses() {
   joint_friction_ = h_ * memory_.joint_friction;
   candidates_.begin(q0_, h_, nominal_h_);
-  candidates_.collect(bound_, memory_.impulses);
+  q_free_ = q1_;
+  candidates_.collect(bound_, q_free_, memory_.impulses);
   for (int k = 0; k < kAdditions; ++k) {
     if (!position_problem()) return false;
     // Impulses may have made a body faster than the bound with which the candidates were found.
@@ -350,7 +351,7 @@ bool DenseStep::position_impulses() {
     add_size(scene_->tree, v_, 1.0, work_);
     if ((work_ - bound_).maxCoeff() > 0.0) {
       bound_ = bound_.cwiseMax(kWider * work_);
-      candidates_.collect(bound_, memory_.impulses);
+      candidates_.collect(bound_, q_free_, memory_.impulses);
     }
     if (!candidates_.add_overlapping(q1_, active_.size(), memory_.impulses)) break;
   }

@@ -145,7 +145,7 @@ class DenseStep {
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
   Memory memory_;
   Constraints start_, end_;
-  VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_;
+  VecX q0_, q_free_, p0_, v0_, v_free_, v_, v1_, q1_, p1_;
   VecX p_start_, bound_, work_;  // momentum after the position impulse; bound on the velocities; workspace
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
