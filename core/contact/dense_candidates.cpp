@@ -50,8 +50,8 @@ void DenseCandidates::collect(const VecX& bound, const VecX& q_free, const std::
     if (!near_[k].watched) add_points(near_[k], impulses);
 }
 
-// Whether a pair that is not loaded is so far open where the guards are placed, at the end of the step without impulses,
-// that impulses of others will hardly close it.
+// Whether a pair that is not loaded is so far open where the guards are placed, at the end of the step without
+// impulses, that impulses of others will hardly close it.
 bool DenseCandidates::stays_open(int guard, const std::vector<DenseImpulse>& impulses) {
   if (!scene_->is_pair(guard)) return false;
   const auto of_guard = [guard](const DenseImpulse& impulse) { return impulse.guard == guard; };

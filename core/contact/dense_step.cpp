@@ -30,8 +30,8 @@ constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
 constexpr double kBothEnds = 2.0;          // the force of a contact acts half at the start of the step, half at its end
 constexpr double kLifted = 1e-7;  // of the kinetic energy: what an impact moves gaps by within their rounding is less
-// Of what servos, inputs and dampers exchange in a step: stiff ones change the velocities at its ends, where impulses of
-// contacts act, more than that in its middle.
+// Of what servos, inputs and dampers exchange in a step: stiff ones change the velocities at its ends, where impulses
+// of contacts act, more than that in its middle.
 constexpr double kWorkShare = 1e-3;
 constexpr double kEnergyShare = 1e-8;  // of the kinetic energy: smaller gains are not worth a shorter step
 

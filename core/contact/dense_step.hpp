@@ -5,7 +5,7 @@
 //   1. position impulse   p0 + W0^T L1 = smooth equation of v, q1 = q0 (+) h v,   0 <= L1_n _|_ phi(q1) >= 0, Coulomb
 //   2. velocity impulse   over the closed ones, plastic: 0 <= L2_n _|_ w_n >= 0 at q1, Coulomb
 //   3. restitution        contacts that closed fast: Poisson's expansion, an impulse of at least e (L1 + L2)_n
-// Constraints are equations beside these laws (cone/constrained_solver.hpp): the position impulse closes them at q1,
+// Constraints are equations beside these laws (cone/reduced_solver.hpp): the position impulse closes them at q1,
 // the velocity impulse their rates.
 // Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988; Acary, Brogliato, "Numerical methods
 // for nonsmooth dynamical systems", 2008; nonsmooth RATTLE: Breuling, Capobianco, Eugster, Leine, 2024. It is of first
@@ -19,7 +19,7 @@
 #include <memory>
 #include <vector>
 
-#include "cone/constrained_solver.hpp"
+#include "cone/reduced_solver.hpp"
 #include "contact/dense_recorder.hpp"
 #include "contact/dense_rows.hpp"
 #include "step/energy.hpp"
@@ -137,7 +137,7 @@ class DenseStep {
   const Scene* scene_;
   Guards* guards_;
   ImpulseStep integrator_;
-  ConstrainedSolver solver_;
+  ReducedSolver solver_;
   DenseCandidates candidates_;
   DenseRows rows_, end_rows_;     // end_rows_: of the contacts lasting_, for their slips
   std::vector<int> active_;       // contacts of the present problem; joint friction follows them
