@@ -11,8 +11,8 @@ namespace {
 constexpr double kRedundant = 1e-10;  // of the rows of equations, scaled to one: less is rounding
 constexpr double kStill = 1e-11;      // of the speeds: slower is at rest
 constexpr double kIdle = 1e-10;       // of a row of a contact: what equations leave of it is rounding
-// A block of more degrees of freedom, on which less than this share of them in rows acts, is reduced: a smaller one costs
-// less as it is.
+// A block of more degrees of freedom, on which less than this share of them in rows acts, is reduced: a smaller one
+// costs less as it is.
 constexpr Eigen::Index kSmall = 24;
 constexpr double kFewRows = 0.75;
 }  // namespace

@@ -2,10 +2,10 @@
 //
 //   v = S u + held     with the masses S^T M S and the rows S^T W in u; held is orthogonal to S by the masses.
 //
-// Equations, W_e^T v = W_e^T v_free for multipliers of their own, leave a basis of velocities, W_e^T S = 0, per group of
-// blocks that they join. They may be redundant. Of a large block on which few rows act, as of a robot on its feet, the
-// velocities that these do not reach are held as well: S is then a basis of M^-1 W, and the problem is no larger than its
-// rows. Where neither is so it is the BlockSolver itself.
+// Equations, W_e^T v = W_e^T v_free for multipliers of their own, leave a basis of velocities, W_e^T S = 0, per group
+// of blocks that they join. They may be redundant. Of a large block on which few rows act, as of a robot on its feet,
+// the velocities that these do not reach are held as well: S is then a basis of M^-1 W, and the problem is no larger
+// than its rows. Where neither is so it is the BlockSolver itself.
 #pragma once
 
 #include <Eigen/Cholesky>
