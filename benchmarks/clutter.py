@@ -187,27 +187,22 @@ def settled(seed: int, count: int) -> tuple[dict[str, Any], str, Plan]:
     return rest, highest, Plan(float(x), float(y), max(float(z) + FINGER - 0.008, FINGER + 0.016))
 
 
-def peer_time(scene: cvi.Scene, q: np.ndarray) -> float:
-    """Return MuJoCo's time for the same run [s]."""
+def peer_time(scene: cvi.Scene, q: np.ndarray, plan: Plan) -> float:
+    """Return MuJoCo's time for the same run, with the wrist on servos [s]."""
     peer = MujocoPeer(scene, PEER_DT)
     data = peer.data(q, np.zeros(scene.nv))
-    targets = scene_targets(scene)
+    names = list(scene.model.names)[1:]
     spent = 0.0
     for k in range(round(DURATION / PEER_DT)):
-        for number, joint in peer._servos:
-            data.ctrl[number] = targets[joint](k * PEER_DT)
+        t = k * PEER_DT
+        wanted = {f"wrist_{axis}": x for axis, x in zip("xyz", plan.place(t)[0], strict=True)}
+        wanted |= dict.fromkeys(("left", "right"), Plan.finger(t)[0])
+        for number, joint in peer.servos:
+            data.ctrl[number] = wanted[names[joint]]
         before = time.process_time()
         peer.mujoco.mj_step(peer.model, data)
         spent += time.process_time() - before
     return spent
-
-
-def scene_targets(scene: cvi.Scene) -> dict[int, Any]:
-    """The references of the servos by joint."""
-    return {list(scene.model.names)[1:].index(name): motion for name, motion in TARGETS.items()}
-
-
-TARGETS: dict[str, Any] = {}
 
 
 def run(seed: int, count: int, wrist: str, mode: str, folder: Path) -> dict[str, Any]:
@@ -215,9 +210,7 @@ def run(seed: int, count: int, wrist: str, mode: str, folder: Path) -> dict[str,
     rest, wanted, plan = settled(seed, count)
     places = {name: pin.SE3ToXYZQUAT(pose) for name, pose in rest.items()}
     scene, q0 = gripper_scene(seed, count, wrist, plan, places, folder)
-    TARGETS.update({f"wrist_{a}": (lambda t, k=k: float(plan.place(t)[0][k])) for k, a in enumerate("xyz")})
-    TARGETS.update({side: (lambda t: Plan.finger(t)[0]) for side in ("left", "right")})
-    peer = peer_time(scene, q0) if wrist == "servos" else math.nan
+    peer = peer_time(scene, q0, plan) if wrist == "servos" else math.nan
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         try:
@@ -238,6 +231,15 @@ def run(seed: int, count: int, wrist: str, mode: str, folder: Path) -> dict[str,
     }  # fmt: skip
 
 
+def line(row: dict[str, Any]) -> str:
+    """One run in words."""
+    return (
+        f"{row['seed']:4d} {row['wrist']:7s} {row['status']:12s} at {row['reached']:.3f} s  {row['seconds']:.3f} s "
+        f"(MuJoCo {row['peer']:.3f})  gap {row['gap']:.1e}  held {row['held']}  impacts {row['impacts']} "
+        f"dense {row['dense']} halved {row['halved']} residual {row['residual']:.1e}  {row['message'][:70]}"
+    )
+
+
 def main() -> None:
     """Run the scenes and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -254,12 +256,7 @@ def main() -> None:
             for wrist in args.wrists.split(","):
                 row = run(seed, args.objects, wrist, args.mode, Path(folder))
                 rows.append(row)
-                print(
-                    f"{seed:4d} {wrist:7s} {row['status']:12s} at {row['reached']:.3f} s  {row['seconds']:.3f} s "
-                    f"(MuJoCo {row['peer']:.3f})  gap {row['gap']:.1e}  held {row['held']}  impacts {row['impacts']} dense "
-                    f"{row['dense']} halved {row['halved']} residual {row['residual']:.1e}  {row['message'][:70]}",
-                    flush=True,
-                )
+                print(line(row), flush=True)
     if args.json:
         Path(args.json).write_text("".join(json.dumps(row) + "\n" for row in rows))
     for wrist in args.wrists.split(","):

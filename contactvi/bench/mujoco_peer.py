@@ -65,6 +65,7 @@ class MujocoPeer:
     Attributes:
         mujoco: the package.
         model: the MjModel.
+        servos: actuator and number of the joint of each servo.
     """
 
     def __init__(self, scene: Scene, dt: float) -> None:
@@ -89,7 +90,7 @@ class MujocoPeer:
         numbers = [find(self.model, kinds.mjOBJ_JOINT, name) for name in self._names]
         self._at_q = [int(self.model.jnt_qposadr[k]) for k in numbers]
         self._at_v = [int(self.model.jnt_dofadr[k]) for k in numbers]
-        self._servos = [(find(self.model, kinds.mjOBJ_ACTUATOR, name), self._names.index(name)) for name in servos]
+        self.servos = [(find(self.model, kinds.mjOBJ_ACTUATOR, name), self._names.index(name)) for name in servos]
 
     # --- states -------------------------------------------------------------------------------------------------------
     def data(self, q: Array, v: Array) -> Any:
@@ -107,7 +108,7 @@ class MujocoPeer:
             else:
                 data.qpos[at_q] = q[iq] if joint.nq == 1 else math.atan2(q[iq + 1], q[iq])
                 data.qvel[at_v] = v[iv]
-        for number, joint in self._servos:
+        for number, joint in self.servos:
             data.ctrl[number] = data.qpos[self._at_q[joint]]
         return data
 
