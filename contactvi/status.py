@@ -80,6 +80,10 @@ class Stats:
         cone_fallbacks: of the problems, those that needed another solver.
         contact_seconds: wall time inside steps with persistent contacts.
         dense_steps: steps with all impacts inside of them (contact_mode).
+        dense_passes: solutions of such steps, also of those that were made again shorter, or with points that joined.
+        dense_problems, dense_sweeps, dense_factorizations: contact problems in these, Gauss-Seidel sweeps for them, and
+            factorizations of Newton's method and the interior point method.
+        dense_gap_iterations: solutions for the normal impulses that close the gaps at the ends of these steps.
 
     Old names, kept for this release: sweeps, iterations and residuals of stage_iterations, held_steps of
     contact_steps, contact_rounds of contact_iterations.
@@ -101,6 +105,11 @@ class Stats:
     cone_fallbacks: int = 0
     contact_seconds: float = 0.0
     dense_steps: int = 0
+    dense_passes: int = 0
+    dense_problems: int = 0
+    dense_sweeps: int = 0
+    dense_factorizations: int = 0
+    dense_gap_iterations: int = 0
 
     sweeps = iterations = residuals = alias("stage_iterations")
     held_steps = alias("contact_steps")

@@ -59,6 +59,11 @@ class EngineCounts(TypedDict):
     cone_fallbacks: int
     contact_seconds: float
     dense_steps: int
+    dense_passes: int
+    dense_problems: int
+    dense_sweeps: int
+    dense_factorizations: int
+    dense_gap_iterations: int
 
 
 class EngineResult(EngineStatus):

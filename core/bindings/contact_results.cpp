@@ -196,7 +196,8 @@ std::optional<Dict> dense_steps(const Scene& s, const Recording& recording) {
   return d;
 }
 
-void add_contact_stats(const ContactStepCounters& c, const RunState& state, nb::dict& d) {
+void add_contact_stats(const EngineCounters& counters, const RunState& state, nb::dict& d) {
+  const ContactStepCounters& c = counters.contact;
   d["contact_steps"] = c.steps;
   d["contact_iterations"] = c.contact_iterations;
   d["cone_problems"] = c.problems;
@@ -204,6 +205,12 @@ void add_contact_stats(const ContactStepCounters& c, const RunState& state, nb::
   d["cone_fallbacks"] = c.fallbacks;
   d["contact_seconds"] = state.contact_seconds;
   d["dense_steps"] = state.dense_steps;
+  const DenseStepCounters& dense = counters.dense;
+  d["dense_passes"] = dense.passes;
+  d["dense_problems"] = dense.problems;
+  d["dense_sweeps"] = dense.sweeps;
+  d["dense_factorizations"] = dense.factorizations;
+  d["dense_gap_iterations"] = dense.gap_iterations;
 }
 
 }  // namespace contactvi

@@ -31,6 +31,6 @@ std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows);
 std::optional<Dict> contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes);
 std::optional<Dict> step_phases(Recording& recording);
 std::optional<Dict> dense_steps(const Scene& s, const Recording& recording);
-void add_contact_stats(const ContactStepCounters& c, const RunState& state, nanobind::dict& d);
+void add_contact_stats(const EngineCounters& counters, const RunState& state, nanobind::dict& d);
 
 }  // namespace contactvi

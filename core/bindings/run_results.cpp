@@ -26,7 +26,7 @@ Dict stats(const RunState& state, const EngineCounters& counters, double seconds
   d["impacts"] = state.impacts;
   d["seconds"] = seconds;
   d["saturated"] = state.actuators.saturated;
-  add_contact_stats(counters.contact, state, d);
+  add_contact_stats(counters, state, d);
   return d;
 }
 

@@ -85,7 +85,14 @@ bool DenseStep::fail(const char* why) {
   return false;
 }
 
+void DenseStep::note(const BlockResult& result) {
+  ++counters.problems;
+  counters.sweeps += result.sweeps;
+  counters.factorizations += result.factors;
+}
+
 void DenseStep::account(const BlockResult& result) {
+  note(result);
   report_.residual = std::max(report_.residual, result.residual);
   using Stage = BlockResult::Stage;
   report_.repaired +=
@@ -239,7 +246,8 @@ bool DenseStep::gap_iterations() {
       problem.offset[rows_.block(i).row] = offset(contacts()[active_[i]], i);
     }
     work_ = v_;
-    solver_.solve_normals(problem, kNormalsSolved, lambda_, v_);
+    ++counters.gap_iterations;
+    note(solver_.solve_normals(problem, kNormalsSolved, lambda_, v_));
     work_ = v_ - work_;
     integrator_.add_velocity(work_);
   }
@@ -282,6 +290,7 @@ bool DenseStep::position_problem() {
   std::vector<DenseContact>& all = candidates_.contacts();
   active_.clear();
   for (int i = 0; i < static_cast<int>(all.size()); ++i) active_.push_back(i);
+  ++counters.passes;
   integrator_.stage_velocity(v_);
   guards_->place(q0_);
   rows_.set(all, active_, false, guards_->placements(), h_);
@@ -307,6 +316,7 @@ bool DenseStep::position_problem() {
   for (int k = 0;; ++k) {
     work_ = v_;
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
+    if (k > 0) note(result);
     result = solver_.solve(problem, INFINITY, solver_options(), lambda_, v_);
     if (!v_.allFinite()) return fail("a number is not finite");
     if (recorder_) recorder_->take_law(lambda_, v_);

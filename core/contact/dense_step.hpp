@@ -38,6 +38,12 @@ struct DenseReport {
   int repaired = 0;           // problems whose answer was repaired or blended
 };
 
+// What dense steps have cost, those that were made again shorter included.
+struct DenseStepCounters {
+  long problems = 0, sweeps = 0, factorizations = 0;  // of contact, Gauss-Seidel sweeps, factorizations for them
+  long gap_iterations = 0, passes = 0;                // passes: that solved a step with the points known so far
+};
+
 class DenseStep {
  public:
   // tol: of the equations of steps; those of contact are solved to what belongs to 1e-12, and closer where it is less.
@@ -100,6 +106,7 @@ class DenseStep {
   };
   const Memory& memory() const { return memory_; }
   void recall(const Memory& memory) { memory_ = memory; }
+  DenseStepCounters counters;
 
  private:
   // The constraints at an end of the step: rows (nv, m), residuals, rates at fixed q, and impulses.
@@ -132,6 +139,7 @@ class DenseStep {
   double contacts_error(const Energy& before, const Energy& free, const Energy& middle) const;
   void set_results(const VecX& lambda);
   double joint_friction_work(const VecX& lambda, const VecX& v) const;
+  void note(const BlockResult& result);
   void account(const BlockResult& result);
 
   const Scene* scene_;

@@ -87,6 +87,7 @@ void Simulator::reset_counters() {
   integrator_.counters = StepCounters();
   guards_.counters = GuardCounters();
   contact_step_.counters = ContactStepCounters();
+  dense_step_.counters = DenseStepCounters();
 }
 
 bool Simulator::step_island(long step, double t, double length, const VecX& tau, const MatX& target,

@@ -81,6 +81,7 @@ struct EngineCounters {
   StepCounters steps;
   GuardCounters guards;
   ContactStepCounters contact;
+  DenseStepCounters dense;
 };
 
 struct Snapshot {

@@ -230,9 +230,15 @@ void fields(Archive& a, ContactStepCounters& x) {
 }
 
 template <class Archive>
+void fields(Archive& a, DenseStepCounters& x) {
+  auto& [problems, sweeps, factorizations, gap_iterations, passes] = x;
+  values(a, problems, sweeps, factorizations, gap_iterations, passes);
+}
+
+template <class Archive>
 void fields(Archive& a, EngineCounters& x) {
-  auto& [steps, guards, contact] = x;
-  values(a, steps, guards, contact);
+  auto& [steps, guards, contact, dense] = x;
+  values(a, steps, guards, contact, dense);
 }
 
 template <class Archive>

@@ -107,6 +107,7 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   contact_step_.set_time(t);
   contact_step_.set_nominal(options_.dt);
   contact_step_.counters = ContactStepCounters();
+  dense_step_.counters = DenseStepCounters();
   contacts_.update_persistent_guards();
   integrator_.counters = StepCounters();
   integrator_.forget();

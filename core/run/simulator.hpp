@@ -84,6 +84,7 @@ class Simulator {
   const StepCounters& step_counters() const { return integrator_.counters; }
   const GuardCounters& guard_counters() const { return guards_.counters; }
   const ContactStepCounters& contact_counters() const { return contact_step_.counters; }
+  const DenseStepCounters& dense_counters() const { return dense_step_.counters; }
 
   // The contact steps kept since the last call of this, without those of islands.
   std::vector<ContactStepRecord> take_contact_steps() { return std::exchange(kept_steps_, {}); }

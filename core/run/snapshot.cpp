@@ -9,7 +9,7 @@ EngineMemory Simulator::memory() {
 }
 
 Snapshot Simulator::snapshot() {
-  return {state_, memory(), {integrator_.counters, guards_.counters, contact_step_.counters}};
+  return {state_, memory(), {integrator_.counters, guards_.counters, contact_step_.counters, dense_step_.counters}};
 }
 
 std::shared_ptr<const Snapshot> Simulator::save() { return std::make_shared<const Snapshot>(snapshot()); }
@@ -39,6 +39,7 @@ void Simulator::restore(const Snapshot& s) {
   integrator_.counters = s.counters.steps;
   guards_.counters = s.counters.guards;
   contact_step_.counters = s.counters.contact;
+  dense_step_.counters = s.counters.dense;
 }
 
 void Simulator::renew() {

@@ -33,6 +33,12 @@ void add(const Simulator& engine, EngineCounters& sum) {
   sum.contact.problems += c.problems;
   sum.contact.iterations += c.iterations;
   sum.contact.fallbacks += c.fallbacks;
+  const DenseStepCounters& d = engine.dense_counters();
+  sum.dense.problems += d.problems;
+  sum.dense.sweeps += d.sweeps;
+  sum.dense.factorizations += d.factorizations;
+  sum.dense.gap_iterations += d.gap_iterations;
+  sum.dense.passes += d.passes;
 }
 
 }  // namespace
