@@ -135,7 +135,8 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
     Contact contact;
     const double gap = guards_.evaluate(g, contact), tolerance = Guards::kTouching;
     if (gap <= tolerance) finder_.set_touching(g, true);
-    if (!(gap >= -tolerance)) {
+    // A node of another run may be the start of this one.
+    if (!(gap >= -(scene_->is_pair(g) ? guards_.promised(g) : tolerance))) {
       end(StatusCode::kPenetration, t, "the start state is in penetration", g);
       state_.status.depth = -gap;
       return state_.status;
