@@ -172,3 +172,28 @@ def test_a_motion_bears_the_friction_of_its_joint(mode, tmp_path):
     np.testing.assert_allclose(traj.q[:, scene.q_index("box")][:, 2], 0.06 + speed * traj.t, atol=1e-10)
     np.testing.assert_allclose(traj.reactions("motion")[2:], 3.0 * G + 3.0, rtol=1e-6)
     assert traj.work.joint_friction[-1] == pytest.approx(3.0 * speed * 0.1, rel=1e-9)
+
+
+def jumps(t: float) -> float:
+    return 0.0 if t < 0.0503 else 0.01
+
+
+def fails(t: float) -> float:
+    if t > 0.05:
+        raise ValueError("no more")
+    return 0.0
+
+
+@pytest.mark.parametrize(("motion", "error"), [(jumps, cvi.SimulationError), (fails, cvi.UserFunctionError)])
+def test_a_motion_that_jumps_or_fails_ends_the_run(motion, error):
+    """At the instant at which it does, under its name."""
+    scene = cvi.Scene()
+    lift = scene.add_box("lift", size=(0.3, 0.3, 0.02), mass=1.0)
+    still_there = (np.zeros(3), np.zeros(3))
+    scene.prescribe(lift, lambda t: (pin.SE3(np.eye(3), np.array([0.0, 0.0, motion(t)])), still_there), name="motion")
+    scene.add_box("box", size=(0.1, 0.1, 0.1), mass=1.0, placement=(0.0, 0.0, 0.06))
+    with pytest.raises(error, match="motion") as ended:
+        cvi.simulate(scene, scene.assemble(), duration=0.2, dt=1e-3, contact_mode="steps")
+    if error is cvi.SimulationError:
+        assert ended.value.status.code is cvi.StatusCode.CONSTRAINT
+        assert ended.value.trajectory.t[-1] == pytest.approx(0.0503, abs=2e-5)
