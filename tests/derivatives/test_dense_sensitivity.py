@@ -209,10 +209,10 @@ def test_inputs_friction_and_restitution_are_parameters(name):
 
 @pytest.mark.slow
 def test_from_dense_steps_to_located_events():
-    """25 points with friction are not worth steps with persistent contacts; without three balls they are."""
+    """30 points with friction are not worth steps with persistent contacts; without three balls they are."""
     scene = cvi.Scene()
     scene.add_halfspace()
-    for k in range(25):
+    for k in range(30):
         scene.add_sphere(f"s{k}", 0.05, mass=0.3, placement=(0.2 * (k % 5), 0.2 * (k // 5), 0.05))
     scene.set_contact(restitution=0.0, friction=0.2)
     q, v = placed(scene), 0.3 * np.random.default_rng(1).standard_normal(scene.nv)
