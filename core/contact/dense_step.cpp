@@ -91,8 +91,14 @@ void DenseStep::note(const BlockResult& result) {
   counters.factorizations += result.factors;
 }
 
-void DenseStep::account(const BlockResult& result) {
+// The whole law of the present problem from the impulses lambda_, for the velocity v.
+BlockResult DenseStep::solve_law(double bound_energy, VecX& v) {
+  const BlockResult result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
   note(result);
+  return result;
+}
+
+void DenseStep::account(const BlockResult& result) {
   report_.residual = std::max(report_.residual, result.residual);
   using Stage = BlockResult::Stage;
   report_.repaired +=
@@ -316,8 +322,7 @@ bool DenseStep::position_problem() {
   for (int k = 0;; ++k) {
     work_ = v_;
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
-    if (k > 0) note(result);
-    result = solver_.solve(problem, INFINITY, solver_options(), lambda_, v_);
+    result = solve_law(INFINITY, v_);
     if (!v_.allFinite()) return fail("a number is not finite");
     if (recorder_) recorder_->take_law(lambda_, v_);
     work_ = v_ - work_;
@@ -412,7 +417,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v1_;
   solver_.prepare(problem);
-  account(solver_.solve(problem, bound_energy, solver_options(), lambda_, v1_));
+  account(solve_law(bound_energy, v1_));
   rows_.add_impulses(lambda_, p1_);
   if (recorder_) recorder_->take_plastic(active_, lambda_, v1_);
   lambda_end_ = lambda_;
@@ -442,7 +447,7 @@ void DenseStep::expand(double bound_energy) {
   }
   problem.v_free = v1_;
   const VecX plastic = v1_;
-  account(solver_.solve(problem, INFINITY, solver_options(), lambda_, v1_));
+  account(solve_law(INFINITY, v1_));
   // Energy, cone and gaps are convex conditions: a share of the expansion keeps them as the whole and none of it do.
   const double share = kinetic_share(problem, plastic, v1_, bound_energy);
   if (recorder_) recorder_->take_expansion(active_, lambda_, v1_, share);

@@ -140,6 +140,7 @@ class DenseStep {
   void set_results(const VecX& lambda);
   double joint_friction_work(const VecX& lambda, const VecX& v) const;
   void note(const BlockResult& result);
+  BlockResult solve_law(double bound_energy, VecX& v);
   void account(const BlockResult& result);
 
   const Scene* scene_;
