@@ -3,8 +3,8 @@
 - Gaps: the least of `scene.gaps` over all nodes, and that of `distances`, which does not use the engine.
 - Energy, of scenes without inputs: computed by Pinocchio from the states. In a step it may rise by the error of a
   midpoint step, (h w)^2 / 4 of the kinetic energy with w the fastest turning, by dv.M dv / 12 with dv what the forces
-  change the velocity by (in a step with an impact those of the free motion alone), and by the weight times the gap that
-  may be left; over the run by four times the largest of these. A step whose impulses are wrong must not allow itself
+  change the velocity by (in a step with an impact those of the step after it, if that has none, since what the impact
+  changes is no part of it), and by the weight times the gap that may be left; over the run by four times the largest. A step whose impulses are wrong must not allow itself
   what they gain: dv.M dv counts PRESSED times that of the free motion at most where the forces of one part of the step
   are a SPIKE, and where the energy comes to be more than it was in the BEFORE steps before.
 - Losses: no increment of `friction_loss` or `impact_loss` is below zero, both together are what the energy falls by.
@@ -158,14 +158,17 @@ def allowed_rises(model: pin.Model, traj: cvi.Trajectory, kinetic: Array, energy
     rates = np.array([turning(model, data, q, v) for q, v in zip(traj.q, traj.v, strict=True)])
     rates = np.maximum(rates[1:], rates[:-1])
     error = 0.25 * (h * rates) ** 2 * np.maximum(kinetic[1:], kinetic[:-1])
-    forces, capped = np.zeros(steps), np.zeros(steps)
+    forces, free_only = np.zeros(steps), np.zeros(steps)
     for k in range(steps):
         mass = np.triu(pin.crba(model, data, traj.q[k]))
         mass += np.triu(mass, 1).T
         free = -h[k] * np.linalg.solve(mass, pin.nonLinearEffects(model, data, traj.q[k], traj.v[k]))
         dv, own = traj.v[k + 1] - traj.v[k], free @ mass @ free
         forces[k] = own if hit[k] else max(dv @ mass @ dv, own)
-        capped[k] = min(forces[k], PRESSED * own)
+        free_only[k] = own
+    after = np.append(hit[1:], True)
+    forces[:-1] = np.where(hit[:-1] & ~after[:-1], np.maximum(forces[:-1], forces[1:]), forces[:-1])
+    capped = np.minimum(forces, PRESSED * free_only)
     weight = 9.81 * sum(inertia.mass for inertia in list(model.inertias)[1:])
     error += GAP * weight + 1e-12 * np.abs(energy).max()
     return error + forces / 12.0, error + capped / 12.0
