@@ -5,7 +5,7 @@
   midpoint step, (h w)^2 / 4 of the kinetic energy with w the fastest turning, by dv.M dv / 12 with dv what the forces
   change the velocity by (in a step with an impact those of the step after it, if that has none, since what the impact
   changes is no part of it), and by the weight times the gap that may be left; over the run by four times the largest. A step whose impulses are wrong must not allow itself
-  what they gain: dv.M dv counts PRESSED times that of the free motion at most where the forces of one part of the step
+  what they gain: dv.M dv counts PRESSED times that of the free motion and turning at most where the forces of one part of the step
   are a SPIKE, and where the energy comes to be more than it was in the BEFORE steps before.
 - Losses: no increment of `friction_loss` or `impact_loss` is below zero, both together are what the energy falls by.
 - What the run itself says: status, warnings, the gaps and rises that its records have.
@@ -34,7 +34,7 @@ Array = np.ndarray
 DT, PEER_DT = 1e-3, 2e-3  # [s]
 GAP, ENERGY, SLOW = 1e-9, 1e-6, 50.0  # [m], of the largest energy, times
 RESIDUAL = 0.5  # of Coulomb's law in dense steps, over the largest free speed: docs/limits.md speaks of 0.2
-PRESSED, SPIKE, BEFORE = 10.0, 30.0, 5  # times h^2 a.M a of the free motion, times the forces about it, steps
+PRESSED, SPIKE, BEFORE = 10.0, 30.0, 5  # times h^2 (a.M a + T w^2) of the free motion, times the forces about it, steps
 SHORT = 0.2  # [s] of a run that is made again, so that its time is not that of a cold start
 
 
@@ -165,7 +165,7 @@ def allowed_rises(model: pin.Model, traj: cvi.Trajectory, kinetic: Array, energy
         free = -h[k] * np.linalg.solve(mass, pin.nonLinearEffects(model, data, traj.q[k], traj.v[k]))
         dv, own = traj.v[k + 1] - traj.v[k], free @ mass @ free
         forces[k] = own if hit[k] else max(dv @ mass @ dv, own)
-        free_only[k] = own
+        free_only[k] = own + (h[k] * rates[k]) ** 2 * max(kinetic[k], kinetic[k + 1])
     after = np.append(hit[1:], True)
     forces[:-1] = np.where(hit[:-1] & ~after[:-1], np.maximum(forces[:-1], forces[1:]), forces[:-1])
     capped = np.minimum(forces, PRESSED * free_only)

@@ -43,7 +43,7 @@ FIELDS: Fields = {
     "end": (3, float),
     "gap": (0, float),
     "slip": (3, float),
-    "slip_before": (3, float),
+    "work": (0, float),
 }
 CHANGE_FIELDS: Fields = {
     "time": (0, float),

@@ -119,28 +119,28 @@ class ContactLedger:
     @cached_property
     def friction_work(self) -> Array:
         """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 in impacts, dense steps."""
-        log = self._contacts
-        before, slip = log.array("slip_before"), log.array("slip")
-        with np.errstate(over="ignore", invalid="ignore"):  # work of huge numbers may be infinite
-            work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
-        counts = (log.h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & (log.array("dense") == 0)
-        return np.where(counts, work.sum(axis=1) / 3.0, 0.0)
+        return self._contacts.array("work")
 
     @cached_property
     def friction_loss(self) -> Array:
         """What friction in persistent contacts, and dense steps, took until each node [J], shape (N,)."""
-        return self._until_nodes(self.time, -self.friction_work) + self.dense_loss
+        return self._until_nodes(self._contacts.t, self.time, -self.friction_work) + self.dense_loss
 
     @cached_property
     def dense_loss(self) -> Array:
         """What contacts took in dense steps until each node, by friction and restitution [J], shape (N,)."""
-        return self._until_nodes(self._dense.end, self._dense["energy_loss"])
+        return self._until_nodes(self._dense["t"], self._dense.end, self._dense["energy_loss"])
 
-    def _until_nodes(self, time: Array, values: Array) -> Array:
-        """Return the sums of values (k,) until each node, of steps that end at time (k,) [s], shape (N,)."""
-        order = np.argsort(time, kind="stable")
-        sums = np.concatenate([[0.0], np.cumsum(values[order])])
-        return np.asarray(sums[np.searchsorted(time[order], self._t + self._slack, side="right")])
+    def _until_nodes(self, start: Array, end: Array, values: Array) -> Array:
+        """Return the sums of values (k,) until each node, of steps from start to end (k,) [s], shape (N,).
+
+        A step that starts at a node comes after it, also where it is as short as rounding.
+        """
+        node = np.searchsorted(self._t, end - self._slack)
+        node += start >= self._t[np.clip(node, 0, len(self._t) - 1)]
+        sums = np.zeros(len(self._t) + 2)
+        np.add.at(sums, np.minimum(node, len(self._t) + 1), values)
+        return np.cumsum(sums)[: len(self._t)]
 
     @cached_property
     def impulse_balance(self) -> Array:

@@ -1,4 +1,4 @@
-"""The file of a run: one npz (a zip of npy arrays), schema 7. Nothing in it is pickled, nothing is executed on loading.
+"""The file of a run: one npz (a zip of npy arrays), schema 9. Nothing in it is pickled, nothing is executed on loading.
 
 N nodes, n events, c contacts, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI
 units; every entry is float64 unless int64 is given.
@@ -58,7 +58,7 @@ contact/start         (c, 3)         position impulse of the step on the second 
 contact/end           (c, 3)         velocity impulse of the step [N s]; of limits the first component counts
 contact/gap           (c,)           signed distance at the end [m or rad]
 contact/slip          (c, 3)         tangential velocity of the second shape against the first at the end [m/s]
-contact/slip_before   (c, 3)         the same at the start of the step; 0 in impacts and dense steps
+contact/work          (c,)           what friction did in the step [J]; 0 in impacts and dense steps
 change/time           (d,)           when a contact changed [s]; changes only in runs that have some
 change/kind           (d,) int64     as event/kind
 change/index          (d,) int64     as event/index
@@ -103,7 +103,7 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 8; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 9; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
@@ -149,7 +149,7 @@ from contactvi.trajectory.polynomials import Segments
 from contactvi.version import version
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 8
+SCHEMA = 9
 _NODES: dict[str, str | None] = {
     "t": None,
     "q": "q",

@@ -113,7 +113,7 @@ std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {
   d["start"] = hand_over(std::move(rows.position_impulse), n, 3);
   d["end"] = hand_over(std::move(rows.velocity_impulse), n, 3);
   d["slip"] = hand_over(std::move(rows.slip), n, 3);
-  d["slip_before"] = hand_over(std::move(rows.slip_before), n, 3);
+  d["work"] = hand_over(std::move(rows.work));
   return d;
 }
 

@@ -21,6 +21,12 @@ double ContactStep::joint_friction_loss() const {
   return total;
 }
 
+double ContactStep::friction_work() const {
+  double total = 0.0;
+  for (const ContactOutcome& out : outcomes_) total += out.friction_work;
+  return total;
+}
+
 // The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
 double ContactStep::driven_work() const {
   if (bilateral_ == 0) return 0.0;
@@ -44,10 +50,7 @@ double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) {
     const VecX mean = 0.5 * ((node0_.W + node1_.W).leftCols(bilateral_).transpose() * v_ + node0_.rate + node1_.rate);
     trapezoid = std::abs((lambda_ + lambda_end_).head(bilateral_).dot(mean));
   }
-  change_ = p1 - p0 - node0_.W * lambda_ - node1_.W * lambda_end_;
-  dv_ = change_;
-  integrator_.solve_mass(dv_);
-  const double turned = turn * turn * kinetic, free = kGauss * (change_.dot(dv_) + turned);
+  const double turned = turn * turn * kinetic, free = kGauss * (free_change(p0, p1) + turned);
   return trapezoid + kShare * (turned + std::min(free, std::abs((p1 - p0).dot(v1_ - v_start_)))) +
          kGapError * (mass * scene_->tree.gravity.norm() + impulses / std::max(h_, nominal_h_));
 }

@@ -291,7 +291,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     const Agreement agreement = settled ? Agreement{kAgree, std::clamp(kAcceptShare * relative, kAccept, kAcceptFirst)}
                                         : Agreement{kAgreeFirst, kAcceptFirst};
     const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0, agreement);
-    if (k == 0) find_paradox(v);
+    if (k == 0) find_paradox();
     if (!solved) {
       why_ = "the contact forces were not found";
       return false;
@@ -333,24 +333,6 @@ void ContactStep::note_contraction(double second, double first, double rounding)
     contraction_ = second / first;
   else
     contraction_ = std::min(contraction_, std::max(second, rounding) / first);
-}
-
-// A (ContactOutcome::paradox) of the contacts that slip at the start of the step; only of pairs with one point, because
-// several points share their load.
-void ContactStep::find_paradox(const VecX& v) {
-  for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    const int r = row_[i];
-    paradox_[i] = 1.0;
-    bool single = contacts_[i].mu > 0.0 && !contacts_[i].sticks;
-    for (std::size_t j = 0; j < contacts_.size() && single; ++j)
-      single = j == i || contacts_[j].point.guard != contacts_[i].point.guard;
-    if (!single) continue;
-    const Eigen::Vector2d slip(node0_.W.col(r + 1).dot(v), node0_.W.col(r + 2).dot(v));
-    const double speed = slip.norm();
-    if (speed > 0.0)
-      paradox_[i] = contact_matrix(r, r) -
-                    contacts_[i].mu * (contact_matrix(r, r + 1) * slip[0] + contact_matrix(r, r + 2) * slip[1]) / speed;
-  }
 }
 
 bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {

@@ -82,13 +82,14 @@ class ContactStep final : public Stepper {
   const VecX* accepted_velocity(const VecX& q, const VecX& p) const {
     return follows_ && node0_.known && p == p1_ && q == node0_.q ? &v_node_ : nullptr;
   }
-  // By how much the step may change the energy besides its work [J], but for rounding: see gains_energy.
+  // By how much the step may change the energy besides its work [J], but for rounding: see changes_energy.
   double energy_error(const VecCRef& p0, const VecCRef& p1);
   // Work of inputs, dissipation by damping and by joint friction, work of driven constraints [J].
   double input_work() const { return integrator_.input_work(); }
   double damping_loss() const { return integrator_.damping_loss(); }
   double joint_friction_loss() const;
   double driven_work() const;
+  double friction_work() const;  // of contacts [J], <= 0; no part of work()
   double work() const { return integrator_.work() + driven_work() - joint_friction_loss(); }
   // Position impulse plus velocity impulse of the rows of the constraints [N s; N m s].
   VecX constraint_impulses() const { return lambda_.head(bilateral_) + lambda_end_.head(bilateral_); }
@@ -205,7 +206,11 @@ class ContactStep final : public Stepper {
   void set_row_velocities(double h);
   bool counts_by_rate(const PersistentContact& persistent, double h) const;
   bool counts_by_place(const FrictionJoint& joint, double h) const;
-  void find_paradox(const VecX& v);
+  Eigen::Vector2d slip_before(std::size_t i) const;
+  void find_paradox();
+  void find_jumps();
+  double paradox_among_others(std::size_t i) const;
+  double free_change(const VecCRef& p0, const VecCRef& p1);
   bool solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize);
   bool velocity_impulses();
   bool solve_end(VecX& lambda);
@@ -236,7 +241,7 @@ class ContactStep final : public Stepper {
   int rows_ = 0;
   bool iterated_ = false;  // whether the gap of some contact is the end of Newton's method, which rounds more
   Node node0_, node1_;
-  std::vector<double> paradox_;  // A of each contact (ContactOutcome), 1 where it does not apply
+  std::vector<double> paradox_;  // A of each contact (ContactOutcome)
   std::vector<Vec3>
       reference_positions_;  // positions of material points in the plane's body frame, from which slip counts
   VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, p_given_, q1_, p1_, v1_, dv_;

@@ -68,6 +68,7 @@ bool ContactStep::velocity_impulses() {
   v1_.noalias() += MinvW_ * lambda_end_;
   w_end_.noalias() += G_end_ * lambda_end_;
   set_outcomes();
+  find_jumps();
   return constraints_met(h_, true);
 }
 
@@ -180,7 +181,7 @@ void ContactStep::set_outcomes() {
     out.position_impulse = Vec3(lambda_[r], 0, 0);
     out.velocity_impulse = Vec3(lambda_end_[r], 0, 0);
     out.slip_W.setZero();
-    out.slip_before_W.setZero();
+    out.friction_work = 0.0;
     out.slips = false;
     if (persistent.mu > 0.0) {
       out.position_impulse.tail<2>() = lambda_.segment<2>(r + 1);
@@ -190,8 +191,14 @@ void ContactStep::set_outcomes() {
       out.paradox = paradox_[i];
     }
     const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
-    if (persistent.mu > 0.0 && !persistent.sticks)
-      out.slip_before_W = node0_.W.col(r + 1).dot(v_start_) * s1 + node0_.W.col(r + 2).dot(v_start_) * s2;
+    if (persistent.mu > 0.0 && !(persistent.sticks && !out.slipped && !out.slips)) {
+      const Eigen::Vector2d before = slip_before(i);
+      const Eigen::Vector2d during(0.5 * (node0_.W.col(r + 1) + node1_.W.col(r + 1)).dot(v_),
+                                   0.5 * (node0_.W.col(r + 2) + node1_.W.col(r + 2)).dot(v_));
+      const Eigen::Vector2d after(w_end_[r + 1], w_end_[r + 2]);
+      out.friction_work = 0.5 * (out.position_impulse.tail<2>().dot(before + during) +
+                                 out.velocity_impulse.tail<2>().dot(during + after));
+    }
     out.position_impulse_W =
         out.position_impulse[0] * c0.normal + out.position_impulse[1] * s1 + out.position_impulse[2] * s2;
     out.velocity_impulse_W =

@@ -1,6 +1,8 @@
 // A persistent contact: one point that stays closed over steps, and its state from step to step.
 #pragma once
 
+#include <cmath>
+
 #include "geometry/manifold.hpp"
 
 namespace contactvi {
@@ -25,8 +27,8 @@ struct ContactOutcome {
   Vec3 t1, t2;                                  // tangents there, world
   Vec3 position_impulse_W, velocity_impulse_W;  // on geometry b [N s], world
   Vec3 position_impulse, velocity_impulse;      // as (n, t1, t2) [N s]
-  // Relative velocity of the points in the tangent plane at the end, and at the start [m/s].
-  Vec3 slip_W, slip_before_W;
+  Vec3 slip_W;               // relative velocity of the points in the tangent plane at the end [m/s]
+  double friction_work = 0;  // of both impulses [J], each with the mean of the slips before and after it
   double w_n = 0;        // normal speed at the end [m/s]
   bool slipped = false;  // during the step
   bool slips = false;    // at its end
@@ -37,7 +39,10 @@ struct ContactOutcome {
   // beside others that all keep theirs.
   bool keeps = false, freed = false;
   Eigen::Vector2d slip = Eigen::Vector2d::Zero();  // over the step, along t1 and t2 at its end [m/s]; 0 if not slipped
-  double paradox = 0;  // A = W_n M^-1 (W_n - mu W_t^T d)^T of a slipping contact: <= 0 is Painleve's paradox
+  // A = W_n M^-1 (W_n - mu W_t^T d)^T of a contact that slips at the start [1/kg], <= 0 in Painleve's paradox; of a step
+  // that jumps with what the other contacts answer; infinite where it does not apply.
+  double paradox = INFINITY;
+  bool jumps = false;  // its impulse does not go to zero with the step
 };
 
 }  // namespace contactvi

@@ -38,15 +38,15 @@ enum class ContactMode : int { kSticks = 0, kSlips = 1, kFrictionless = 2, kImpa
 // Contact forces: one row per persistent contact and step, and per point of an impact (h = 0). World frame, impulses on
 // geometry b.
 struct ContactRows {
-  std::vector<double> t, h, gap;
-  std::vector<double> position, normal, position_impulse, velocity_impulse, slip, slip_before;  // three numbers a row
+  std::vector<double> t, h, gap, work;  // work: of friction in the step [J]
+  std::vector<double> position, normal, position_impulse, velocity_impulse, slip;  // three numbers a row
   std::vector<int> guard, mode, dense;  // mode: ContactMode; dense: 1 for a row of a dense step, else 0
   std::vector<std::int64_t> point;
   std::vector<long> step;
 
   void push(double time, double length, int guard_number, std::int64_t feature, ContactMode contact_mode,
             long step_number, const Vec3& x, const Vec3& n, const Vec3& first, const Vec3& second, double phi,
-            const Vec3& velocity, const Vec3& velocity_before = Vec3::Zero()) {
+            const Vec3& velocity, double friction_work = 0.0) {
     t.push_back(time);
     h.push_back(length);
     guard.push_back(guard_number);
@@ -55,14 +55,14 @@ struct ContactRows {
     dense.push_back(0);
     step.push_back(step_number);
     gap.push_back(phi);
+    work.push_back(friction_work);
     for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&position_impulse, &first),
-                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity),
-                               std::pair(&slip_before, &velocity_before)})
+                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity)})
       list->insert(list->end(), value->data(), value->data() + 3);
   }
   void cut(std::size_t rows) {
-    for (auto* list : {&t, &h, &gap}) list->resize(rows);
-    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip, &slip_before})
+    for (auto* list : {&t, &h, &gap, &work}) list->resize(rows);
+    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip})
       list->resize(3 * rows);
     for (auto* list : {&guard, &mode, &dense}) list->resize(rows);
     point.resize(rows);

@@ -132,9 +132,9 @@ void fields(Archive& a, PersistentContact& x) {
 template <class Archive>
 void fields(Archive& a, ContactOutcome& x) {
   auto& [contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
-         slip_before_W, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox] = x;
+         friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps] = x;
   values(a, contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
-         slip_before_W, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox);
+         friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps);
 }
 
 template <class Archive>
@@ -283,9 +283,9 @@ void fields(Archive& a, Segments& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactRows& x) {
-  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense, point,
+  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense, point,
          step] = x;
-  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, slip_before, guard, mode, dense,
+  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense,
          point, step);
 }
 

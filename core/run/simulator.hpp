@@ -204,7 +204,7 @@ class Simulator {
   bool first_contact_change(const Interval& interval, double h, double& alpha, bool& hit, bool& again,
                             Recording& recording);
   void step_past_rounding(int guard);
-  bool gains_energy();
+  bool changes_energy();
   int deepest_pair(const VecX& q, double& gap);
   bool sinks_in(Recording& recording, double time);
   void record_overlap(int guard, double gap, double time, Recording& recording);

@@ -66,7 +66,7 @@ void World::add_contact(const Entry& entry, Recording& recording) {
   recording.contacts.push(from.t[i], from.h[i], entry.island->numbers().guards[from.guard[i]], from.point[i],
                           static_cast<ContactMode>(from.mode[i]), from.step[i], three(from.position),
                           three(from.normal), three(from.position_impulse), three(from.velocity_impulse), from.gap[i],
-                          three(from.slip), three(from.slip_before));
+                          three(from.slip), from.work[i]);
   recording.contacts.dense.back() = from.dense[i];
 }
 

@@ -131,11 +131,11 @@ template <class Archive, class Outcome>
 void outcome_fields(Archive& a, Outcome& o) {
   contact_fields(a, o.contact);
   for (auto* x : {&o.t1, &o.t2, &o.position_impulse_W, &o.velocity_impulse_W, &o.position_impulse, &o.velocity_impulse,
-                  &o.slip_W, &o.slip_before_W})
+                  &o.slip_W})
     a.fixed(*x);
   a.fixed(o.slip);
-  for (auto* x : {&o.w_n, &o.reversed, &o.paradox}) a.number(*x);
-  for (auto* x : {&o.slipped, &o.slips, &o.turned, &o.active, &o.keeps, &o.freed}) a.whole(*x);
+  for (auto* x : {&o.w_n, &o.reversed, &o.paradox, &o.friction_work}) a.number(*x);
+  for (auto* x : {&o.slipped, &o.slips, &o.turned, &o.active, &o.keeps, &o.freed, &o.jumps}) a.whole(*x);
 }
 
 template <class Archive, class Kept>

@@ -52,7 +52,7 @@ def contact_arrays(scene: cvi.Scene) -> dict[str, np.ndarray]:
                 "mode": 1 if speed(t + STEP) > 0.0 else 0, "dense": 0, "position": (place(t + STEP) + x, y, 0.0),
                 "normal": (0.0, 0.0, sign), "start": sign * half, "end": sign * half, "gap": 0.0,
                 "slip": (sign * speed(t + STEP), 0.0, 0.0),
-                "slip_before": (sign * speed(t), 0.0, 0.0),
+                "work": -0.125 * MASS * sliding * (speed(t) + speed(t + STEP)),
             }  # fmt: skip
             for name, value in new.items():
                 rows[name].append(value)

@@ -343,7 +343,7 @@ def test_a_stored_run_has_all_of_its_events(impact, tmp_path):
     assert loaded.forced is traj.forced is False
     with np.load(tmp_path / "run.npz") as file:
         assert ("discrete_energy" in file.files) == (impact == "dtec")
-        assert re.search('"schema": 8', str(file["header"]))
+        assert re.search('"schema": 9', str(file["header"]))
     np.testing.assert_array_equal(loaded.discrete_energy, traj.discrete_energy)
 
 

@@ -338,8 +338,8 @@ def test_lines_have_a_joint_for_each_vertex(tmp_path):
 
 
 def test_other_schema(saved):
-    rewrite(saved, header=np.array(header(saved).replace('"schema": 8', '"schema": 9')))
-    with pytest.raises(cvi.SceneError, match="expected schema 8, got schema 9"):
+    rewrite(saved, header=np.array(header(saved).replace('"schema": 9', '"schema": 10')))
+    with pytest.raises(cvi.SceneError, match="expected schema 9, got schema 10"):
         cvi.Trajectory.load(saved)
 
 
@@ -349,7 +349,7 @@ def test_other_schema(saved):
         {"header": None},
         {"header": np.array("not json")},
         {"header": np.array("[1, 2]")},
-        {"header": np.array('{"format": "contactvi-trajectory", "schema": 8}')},
+        {"header": np.array('{"format": "contactvi-trajectory", "schema": 9}')},
         {"header": np.array("[" * 100_000)},
         {"header": np.zeros(3)},
         {"t": None},
