@@ -179,7 +179,7 @@ class BlockContacts {
     system.update(point);
     const std::vector<double> frozen(slip.begin(), slip.end());
     point.residual = std::numeric_limits<double>::infinity();
-    const int used = interior.run(system, factor, &frozen, 1.0, tolerance, 60, point);
+    const int used = interior.run(system, factor, &frozen, tolerance, 60, point);
     for (std::size_t i = 0; i < point.lambda.size(); ++i)
       for (int r = 0; r < problem_.contacts[i].rows; ++r) lambda[problem_.contacts[i].row + r] = point.lambda[i][r];
     return {lambda, point.residual, used};

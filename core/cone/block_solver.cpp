@@ -19,7 +19,6 @@ namespace {
 constexpr int kBetweenChecks = 5;      // sweeps
 constexpr int kConvexIterations = 30;  // factorizations of one convex problem
 constexpr int kNormalIterations = 25;  // and of the normal problem
-constexpr double kPathStart = 10.0;    // distance from the central path over the residual
 constexpr double kSafeTolerance = 1e-8;
 constexpr double kRepairTolerance = 1e-9;
 // Energies are sums of terms of their own size: equal to this share of it.
@@ -149,8 +148,7 @@ void BlockSolver::Work::clear_open() {
 // Stage C, with B after it.
 void BlockSolver::Work::interior_point() {
   const double before = best.residual;
-  result.factors += interior.run(system, pattern(), nullptr, std::min(1.0, kPathStart * before), options.accept,
-                                 options.factors - result.factors, best);
+  result.factors += interior.run(system, pattern(), nullptr, options.accept, options.factors - result.factors, best);
   if (best.residual < before) {
     result.stage = BlockResult::Stage::kInteriorPoint;
     clear_open();
@@ -178,7 +176,7 @@ void BlockSolver::Work::find_safe(double bound) {
     no_slip.assign(system.contacts(), 0.0);
     safe = best;
     safe.residual = std::numeric_limits<double>::infinity();
-    result.factors += interior.run(system, pattern(), &no_slip, 1.0, kSafeTolerance, kConvexIterations, safe);
+    result.factors += interior.run(system, pattern(), &no_slip, kSafeTolerance, kConvexIterations, safe);
     if (gaps_kept(safe) && within(system.energy(safe.v), bound)) return;
   }
   safe.lambda.assign(system.contacts(), Vec3::Zero());

@@ -96,20 +96,21 @@ void InteriorPoint<System, Factor>::begin_bounds(const BlockContact& law, double
 }
 
 template <class System, class Factor>
-void InteriorPoint<System, Factor>::begin(const System& system, double start, const ConePoint& point) {
+void InteriorPoint<System, Factor>::begin(const System& system) {
   const int m = system.contacts();
   pairs_.resize(m);
   K_.resize(m);
-  iterate_ = point;
+  iterate_.lambda.assign(m, Vec3::Zero());
+  system.project(iterate_);
   for (int c = 0; c < m; ++c) {
     const BlockContact& law = system.contact(c);
     Pair& p = pairs_[c];
     p = Pair();
     p.cone = has_friction(law);
     if (p.cone) p.mu = std::max(law.mu, kLeastFriction);
-    const double g = system.largest(c), t = std::max(start * system.scale() / g, kLeastDivisor);
-    const Vec3& lambda = point.lambda[c];
-    Vec3 w = system.velocity(c, point.v);
+    const double g = system.largest(c), t = std::max(system.scale() / g, kLeastDivisor);
+    const Vec3& lambda = iterate_.lambda[c];
+    Vec3 w = system.velocity(c, iterate_.v);
     w[0] /= p.mu;
     if (p.cone) {
       w[0] += frozen_ == nullptr ? norm(w) : (*frozen_)[c];
@@ -275,10 +276,10 @@ bool InteriorPoint<System, Factor>::advance(const System& system, Factor& factor
 }
 
 template <class System, class Factor>
-int InteriorPoint<System, Factor>::run(const System& system, Factor& factor, Frozen frozen, double start,
-                                       double tolerance, int iterations, ConePoint& point) {
+int InteriorPoint<System, Factor>::run(const System& system, Factor& factor, Frozen frozen, double tolerance,
+                                       int iterations, ConePoint& point) {
   frozen_ = frozen;
-  begin(system, start, point);
+  begin(system);
   int used = 0, stalled = 0;
   double least = point.residual;
   while (used < iterations && stalled < kStalled && point.residual > tolerance) {

@@ -26,12 +26,11 @@ class InteriorPoint {
   // convex.
   using Frozen = const std::vector<double>*;
 
-  // From the point, at most `iterations` iterations, until the residual is `tolerance`; of the whole law, or of the
-  // convex problem. start: distance from the central path at which the iteration starts, as a share of the scale of
-  // speeds. point: with impulses of the cones; the best on return, unless none was better than on entry
-  // (point.residual). Returns the factorizations used.
-  int run(const System& system, Factor& factor, Frozen frozen, double start, double tolerance, int iterations,
-          ConePoint& point);
+  // At most `iterations` iterations, until the residual is `tolerance`; of the whole law, or of the convex problem. It
+  // starts from the least impulses: what failed before may press contacts against each other by far more than the
+  // answer does, and such impulses lie along the boundary where steps are blocked. point: the best on return, unless
+  // none was better than on entry (point.residual). Returns the factorizations used.
+  int run(const System& system, Factor& factor, Frozen frozen, double tolerance, int iterations, ConePoint& point);
 
  private:
   // One bound of an impulse.
@@ -56,7 +55,7 @@ class InteriorPoint {
     Bound lower, upper;
   };
 
-  void begin(const System& system, double start, const ConePoint& point);
+  void begin(const System& system);
   void begin_bounds(const BlockContact& law, double g, double t, double lambda, double w, Pair& p) const;
   void read_velocities(const System& system);
   void set_scaling(Pair& p) const;

@@ -14,10 +14,10 @@ namespace {
 // Newton steps at most: in general, without shift, and from the last solution.
 constexpr int kIterations = 40, kIterationsPlain = 20, kIterationsWarm = 12;
 constexpr double kDisagree = 1e-3;  // residual up to which the direct solution of an immobile contact is accepted
-// Of the interior point method, from which Newton's method starts again where it stalled: its iterations at most, the
-// residual at which it ends (of the largest free speed), and its start on the central path over the residual there.
+// Of the interior point method, from which Newton's method starts again where it stalled: its iterations at most,
+// and the residual at which it ends (of the largest free speed).
 constexpr int kPathIterations = 60;
-constexpr double kPathEnd = 1e-10, kPathStart = 100.0;
+constexpr double kPathEnd = 1e-10;
 constexpr int kSweeps = 100;  // of Gauss-Seidel, for where that stalls, too
 
 }  // namespace
@@ -109,8 +109,7 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
   system_.read(best_.data(), point_);
   system_.project(point_);
   point_.residual = system_.residual(point_);
-  interior_.run(system_, factor_, nullptr, std::min(1.0, kPathStart * point_.residual), kPathEnd, kPathIterations,
-                point_);
+  interior_.run(system_, factor_, nullptr, kPathEnd, kPathIterations, point_);
   if (polished()) return true;
   for (Vec3& impulse : point_.lambda) impulse.setZero();
   system_.project(point_);
