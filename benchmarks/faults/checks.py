@@ -190,10 +190,13 @@ def losses(traj: cvi.Trajectory, size: float) -> dict[str, Any]:
     """The least increment of each loss, and what both together say beyond the fall of the energy, over the size."""
     found: dict[str, Any] = {}
     both = np.zeros(len(traj.t))
+    error = np.zeros(len(traj.t))  # of dense steps, which say how far their losses may be wrong
+    ends = np.searchsorted(traj.t, traj.dense_steps.end - 1e-9)
+    np.add.at(error, np.minimum(ends, len(error) - 1), traj.dense_steps["energy_error"])
     for name in ("friction_loss", "impact_loss"):
         loss = getattr(traj, name)
         both += loss
-        steps = np.diff(loss)
+        steps = np.diff(loss) + error[1:]
         found |= {name: float(min(steps.min(initial=0.0), 0.0) / size)}
         found |= {f"{name}_time": float(traj.t[int(np.argmin(steps))]) if len(steps) else 0.0}
     work = traj.work

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from contactvi import _core
 from helpers.block_problems import SAVED, BlockProblem, heap, heavier, read
+from helpers.contact_rows import frame, point_velocity
 from helpers.malloc_shim import SHIM
 from oracles import block_contact as oracle
 
@@ -250,6 +251,30 @@ def test_gaps_that_cannot_all_be_kept():
     assert q["stage"] == "repaired"
     assert q["violation"] == pytest.approx(0.5, rel=1e-3)
     assert np.isfinite(q["impulses"]).all()
+
+
+def leaning_walls(rng: np.random.Generator, squeeze: float) -> BlockProblem:
+    """A body between two walls that lean so much that friction nearly holds it; it starts squeezed between them [N s]."""
+    lean = rng.uniform(0.1, 0.9)
+    mu = np.tan(lean) * rng.uniform(0.9, 1.0)
+    W, start = [], []
+    for side, share, y in ((-1.0, 0.5, 0.3), (-1.0, 0.5, -0.3), (1.0, 1.0, rng.uniform(-0.2, 0.2))):
+        axes = frame(np.array([-side * np.cos(lean), 0.0, np.sin(lean)]))
+        W.append([axes @ point_velocity(0.05 * np.array([side, y, 0.0]))])
+        start.append(squeeze * share * axes @ [-side, 0.0, 0.0])
+    v = np.r_[rng.normal(size=3) * 0.005 - [0, 0, 0.01], rng.normal(size=3) * 0.1]
+    M = 0.3 * np.diag([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
+    return BlockProblem(
+        [M], np.array([[0, -1]] * 3), np.full(3, 3), np.full(3, mu), np.zeros(3), np.zeros(3), W, v, np.zeros(9),
+        np.concatenate(start),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("squeeze", [0.0, 0.01, 1.0, 100.0])
+def test_start_that_jams(squeeze):
+    """Whatever the contacts were pressed against each other with before, the law is met."""
+    for seed in range(200):
+        assert solved(leaning_walls(generator(seed), squeeze))["residual"] <= ACCEPT
 
 
 def test_numbers_that_are_not_finite():
