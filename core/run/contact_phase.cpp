@@ -112,7 +112,9 @@ bool Simulator::changes_energy() {
   contact_step_.finish(q1_, p1_);
   const double T0 = 0.5 * state_.p.dot(contact_step_.start_velocity()), V0 = potential(state_.q);
   const double T1 = 0.5 * p1_.dot(contact_step_.end_velocity()), V1 = potential(q1_);
-  const double change = T1 + V1 - T0 - V0 - contact_step_.work() - contact_step_.friction_work();
+  // Friction that would do positive work excuses no gain.
+  const double friction = std::min(0.0, contact_step_.friction_work());
+  const double change = T1 + V1 - T0 - V0 - contact_step_.work() - friction;
   const double rounding = kEnergyRounding * (std::abs(V0) + std::abs(V1) + T0 + T1);
   if (std::abs(change) <= rounding || std::abs(change) <= contact_step_.energy_error(state_.p, p1_) + rounding) return false;
   contact_step_.reject(change > 0.0 ? "its energy rises" : "its energy vanishes");
