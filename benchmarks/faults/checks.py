@@ -4,9 +4,10 @@
 - Energy, of scenes without inputs: computed by Pinocchio from the states. In a step it may rise by the error of a
   midpoint step, (h w)^2 / 4 of the kinetic energy with w the fastest turning, by dv.M dv / 12 with dv what the forces
   change the velocity by (in a step with an impact those of the step after it, if that has none, since what the impact
-  changes is no part of it), and by the weight times the gap that may be left; over the run by four times the largest. A step whose impulses are wrong must not allow itself
-  what they gain: dv.M dv counts PRESSED times that of the free motion and turning at most where the forces of one part of the step
-  are a SPIKE, and where the energy comes to be more than it was in the BEFORE steps before.
+  changes is no part of it), and by the weight times the gap that may be left; over the run by four times the largest.
+  A step whose impulses are wrong must not allow itself what they gain: dv.M dv counts PRESSED times that of the free
+  motion and turning at most where the forces of one part of the step are a SPIKE, and where the energy comes to be more
+  than it was in the BEFORE steps before.
 - Losses: no increment of `friction_loss` or `impact_loss` is below zero, both together are what the energy falls by.
 - What the run itself says: status, warnings, the gaps and rises that its records have.
 

@@ -27,20 +27,20 @@ struct ContactOutcome {
   Vec3 t1, t2;                                  // tangents there, world
   Vec3 position_impulse_W, velocity_impulse_W;  // on geometry b [N s], world
   Vec3 position_impulse, velocity_impulse;      // as (n, t1, t2) [N s]
-  Vec3 slip_W;               // relative velocity of the points in the tangent plane at the end [m/s]
+  Vec3 slip_W;                                  // relative velocity of the points in the tangent plane at the end [m/s]
   double friction_work = 0;  // of both impulses [J], each with the mean of the slips before and after it
-  double w_n = 0;        // normal speed at the end [m/s]
-  bool slipped = false;  // during the step
-  bool slips = false;    // at its end
-  bool turned = false;   // the slip of the step is opposite to that at its start
-  double reversed = 0;   // w_t . d at the end of a contact that slipped along d if its friction had gone on; else 0
-  bool active = false;   // took part in the velocity impulse
+  double w_n = 0;            // normal speed at the end [m/s]
+  bool slipped = false;      // during the step
+  bool slips = false;        // at its end
+  bool turned = false;       // the slip of the step is opposite to that at its start
+  double reversed = 0;       // w_t . d at the end of a contact that slipped along d if its friction had gone on; else 0
+  bool active = false;       // took part in the velocity impulse
   // Whether its velocity impulse keeps the direction of the slip of the step; whether it would have reversed the slip
   // beside others that all keep theirs.
   bool keeps = false, freed = false;
   Eigen::Vector2d slip = Eigen::Vector2d::Zero();  // over the step, along t1 and t2 at its end [m/s]; 0 if not slipped
-  // A = W_n M^-1 (W_n - mu W_t^T d)^T of a contact that slips at the start [1/kg], <= 0 in Painleve's paradox; of a step
-  // that jumps with what the other contacts answer; infinite where it does not apply.
+  // A = W_n M^-1 (W_n - mu W_t^T d)^T of a contact that slips at the start [1/kg], <= 0 in Painleve's paradox; of a
+  // step that jumps with what the other contacts answer; infinite where it does not apply.
   double paradox = INFINITY;
   bool jumps = false;  // its impulse does not go to zero with the step
 };

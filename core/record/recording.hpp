@@ -38,7 +38,7 @@ enum class ContactMode : int { kSticks = 0, kSlips = 1, kFrictionless = 2, kImpa
 // Contact forces: one row per persistent contact and step, and per point of an impact (h = 0). World frame, impulses on
 // geometry b.
 struct ContactRows {
-  std::vector<double> t, h, gap, work;  // work: of friction in the step [J]
+  std::vector<double> t, h, gap, work;                                             // work: of friction in the step [J]
   std::vector<double> position, normal, position_impulse, velocity_impulse, slip;  // three numbers a row
   std::vector<int> guard, mode, dense;  // mode: ContactMode; dense: 1 for a row of a dense step, else 0
   std::vector<std::int64_t> point;
@@ -62,8 +62,7 @@ struct ContactRows {
   }
   void cut(std::size_t rows) {
     for (auto* list : {&t, &h, &gap, &work}) list->resize(rows);
-    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip})
-      list->resize(3 * rows);
+    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip}) list->resize(3 * rows);
     for (auto* list : {&guard, &mode, &dense}) list->resize(rows);
     point.resize(rows);
     step.resize(rows);

@@ -116,7 +116,8 @@ bool Simulator::changes_energy() {
   const double friction = std::min(0.0, contact_step_.friction_work());
   const double change = T1 + V1 - T0 - V0 - contact_step_.work() - friction;
   const double rounding = kEnergyRounding * (std::abs(V0) + std::abs(V1) + T0 + T1);
-  if (std::abs(change) <= rounding || std::abs(change) <= contact_step_.energy_error(state_.p, p1_) + rounding) return false;
+  if (std::abs(change) <= rounding || std::abs(change) <= contact_step_.energy_error(state_.p, p1_) + rounding)
+    return false;
   contact_step_.reject(change > 0.0 ? "its energy rises" : "its energy vanishes");
   return true;
 }

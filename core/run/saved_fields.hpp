@@ -283,10 +283,10 @@ void fields(Archive& a, Segments& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactRows& x) {
-  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense, point,
-         step] = x;
-  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense,
-         point, step);
+  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense, point, step] =
+      x;
+  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense, point,
+         step);
 }
 
 template <class Archive>

@@ -254,7 +254,7 @@ def test_gaps_that_cannot_all_be_kept():
 
 
 def leaning_walls(rng: np.random.Generator, squeeze: float) -> BlockProblem:
-    """A body between two walls that lean so much that friction nearly holds it; it starts squeezed between them [N s]."""
+    """A body between two walls that lean so much that friction nearly holds it, squeezed between them at the start."""
     lean = rng.uniform(0.1, 0.9)
     mu = np.tan(lean) * rng.uniform(0.9, 1.0)
     W, start = [], []
