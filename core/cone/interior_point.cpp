@@ -15,7 +15,7 @@ namespace {
 
 constexpr double kLeastFriction = 1e-6;  // the coordinates stretch the normal by 1/mu
 // Measured on contact problems of stacks, rollers and heaps that sweeps and Newton's method do not solve: of shares of
-// the coupling from 0 to 1, of the least centering from 0 to .5 and of the way to the boundary from .8 to .98 these
+// the coupling, by mu, of the least centering from 0 to .5 and of the way to the boundary from .8 to .98 these
 // solve the most and need the fewest iterations; the neighbouring ones hardly fewer (benchmarks/contact_problems.py).
 constexpr double kCoupling = 0.7;
 constexpr double kLeastCentering = 0.25;
@@ -69,7 +69,7 @@ void InteriorPoint<System, Factor>::read_velocities(const System& system) {
     p.slip.setZero();
     if (p.cone) {
       const double speed = norm(w);
-      if (frozen_ == nullptr && speed > 0.0) p.slip = Vec3(0.0, w[1], w[2]) * (kCoupling / speed);
+      if (frozen_ == nullptr && speed > 0.0) p.slip = Vec3(0.0, w[1], w[2]) * (std::min(1.0, kCoupling / p.mu) / speed);
       w[0] = w[0] / p.mu + (frozen_ == nullptr ? speed : (*frozen_)[c]);
     } else {
       w.tail<2>().setZero();

@@ -7,8 +7,8 @@
 // but for the term |w_t| the conditions of a convex problem. The method is the primal-dual one for that problem, with
 // Nesterov and Todd's scaling and Mehrotra's predictor and corrector (the scaling of second-order cones as in
 // Vandenberghe, "The CVXOPT linear and quadratic cone program solvers", 2010). The term is evaluated at each iterate,
-// and only a share of its derivative (kCoupling) stands in the matrix: with all of it steps are blocked at the
-// boundary where impulses are not unique, without it they go on as slowly as a fixed point iteration. Bounds of a
+// and where mu is large only a share of its derivative (kCoupling) stands in the matrix: with all of it steps are
+// blocked at the boundary, without it they go on as slowly as a fixed point iteration. Bounds of a
 // single impulse, of Poisson's expansion and of joint friction, are pairs of numbers beside that of the cone.
 #pragma once
 

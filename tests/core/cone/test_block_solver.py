@@ -75,11 +75,10 @@ SMALL: dict[str, dict] = {
     "robots": {"robots": 1},
     "one body": {"bodies": 1, "contacts": 3},
 }
-# Of the 30 problems of the five kinds and six seeds, 28 are compared. On one the oracle does not converge from its
-# second start. On one there is one answer, which the engine does not find: it says so, and its own is that of a repair.
+# Of the 30 problems of the five kinds and six seeds one is not compared: the oracle does not converge from its second
+# start.
 ENDLESS = [("frictionless", 3)]
-REPAIRED = [("joints", 2)]
-COMPARED = [case for case in itertools.product(SMALL, range(6)) if case not in ENDLESS + REPAIRED]
+COMPARED = [case for case in itertools.product(SMALL, range(6)) if case not in ENDLESS]
 
 
 def one_answer(kind: str, seed: int) -> tuple[BlockProblem, np.ndarray]:
@@ -98,18 +97,6 @@ def test_the_answer_of_the_oracle(kind, seed):
     p, answer = one_answer(kind, seed)
     q = solved(p, tolerance=1e-11)
     assert q["residual"] <= 1e-10
-    np.testing.assert_allclose(q["v"], oracle.velocity(p, answer), atol=1e-8 * max(1.0, q["scale"]))
-
-
-@pytest.mark.parametrize(("kind", "seed"), REPAIRED)
-def test_an_answer_that_the_engine_does_not_find(kind, seed):
-    """It does not say that its own is one, keeps its promises, and stays at the answer if it starts there."""
-    p, answer = one_answer(kind, seed)
-    q = solved(p)
-    assert q["stage"] == "repaired"
-    assert q["residual"] > ACCEPT
-    q = p.solver().solve(answer, bound_of(p))
-    assert q["stage"] == "sweeps"
     np.testing.assert_allclose(q["v"], oracle.velocity(p, answer), atol=1e-8 * max(1.0, q["scale"]))
 
 
