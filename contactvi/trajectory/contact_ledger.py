@@ -139,7 +139,7 @@ class ContactLedger:
         node = np.searchsorted(self._t, end - self._slack)
         node += start >= self._t[np.clip(node, 0, len(self._t) - 1)]
         sums = np.zeros(len(self._t) + 2)
-        np.add.at(sums, np.minimum(node, len(self._t) + 1), values)
+        np.add.at(sums, node, values)
         return np.cumsum(sums)[: len(self._t)]
 
     @cached_property

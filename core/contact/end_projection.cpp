@@ -182,13 +182,13 @@ void ContactStep::set_outcomes() {
     out.velocity_impulse = Vec3(lambda_end_[r], 0, 0);
     out.slip_W.setZero();
     out.friction_work = 0.0;
+    out.paradox = paradox_[i];
     out.slips = false;
     if (persistent.mu > 0.0) {
       out.position_impulse.tail<2>() = lambda_.segment<2>(r + 1);
       out.velocity_impulse.tail<2>() = lambda_end_.segment<2>(r + 1);
       out.slip_W = w_end_[r + 1] * out.t1 + w_end_[r + 2] * out.t2;
       out.slips = out.slip_W.norm() > kSlipping * speed;
-      out.paradox = paradox_[i];
     }
     const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
     if (persistent.mu > 0.0 && !(persistent.sticks && !out.slipped && !out.slips)) {
