@@ -17,6 +17,7 @@
 #include "cone/block_solver.hpp"
 #include "cone/block_system.hpp"
 #include "cone/interior_point.hpp"
+#include "cone/inverse_cholesky.hpp"
 #include "cone/solver.hpp"
 
 namespace nb = nanobind;
@@ -122,6 +123,8 @@ class BlockContacts {
       if (n < 0 || read + n * n > masses.size()) throw Error("expected masses of sizes[i]^2 numbers each");
       problem_.start.push_back(problem_.start.back() + n);
       problem_.M.push_back(Eigen::Map<const MatX>(masses.data() + read, n, n));
+      problem_.inverse.emplace_back();
+      invert_positive(problem_.M.back(), problem_.inverse.back());
       read += n * n;
     }
     int row = 0, column = 0;

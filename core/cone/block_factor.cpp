@@ -33,8 +33,8 @@ bool invert_general(Block<N> A, int* rows) {
     for (int j = 0; j < n; ++j) {
       if (j == k) continue;
       const double f = A(k, j);
-      for (int i = 0; i < n; ++i)
-        if (i != k) A(i, j) -= A(i, k) * f;
+      for (int i = 0; i < n; ++i) A(i, j) -= A(i, k) * f;
+      A(k, j) = f;
     }
     for (int i = 0; i < n; ++i)
       if (i != k) A(i, k) *= -inverse;
@@ -42,6 +42,47 @@ bool invert_general(Block<N> A, int* rows) {
   for (int k = n - 1; k >= 0; --k)
     if (rows[k] != k) A.col(k).swap(A.col(rows[k]));
   return true;
+}
+
+// L U = A with its rows exchanged, in place. rows: workspace (n,), which solve_general takes.
+bool factor_general(SquareMap<Eigen::Dynamic> A, int* rows) {
+  const int n = static_cast<int>(A.rows());
+  for (int k = 0; k < n; ++k) {
+    int pivot = k;
+    for (int i = k + 1; i < n; ++i)
+      if (std::abs(A(i, k)) > std::abs(A(pivot, k))) pivot = i;
+    rows[k] = pivot;
+    if (pivot != k)
+      for (int j = 0; j < n; ++j) std::swap(A(k, j), A(pivot, j));
+    const double inverse = 1.0 / A(k, k);
+    if (!std::isfinite(inverse)) return false;
+    for (int i = k + 1; i < n; ++i) A(i, k) *= inverse;
+    for (int j = k + 1; j < n; ++j) subtract<Eigen::Dynamic>(&A(k, j) + 1, A(k, j), &A(k, k) + 1, n - k - 1);
+  }
+  return true;
+}
+
+// y <- A^-1 y
+void solve_general(const SquareMap<Eigen::Dynamic>& A, const int* rows, double* y) {
+  const int n = static_cast<int>(A.rows());
+  for (int k = 0; k < n; ++k) std::swap(y[k], y[rows[k]]);
+  for (int k = 0; k < n; ++k) subtract<Eigen::Dynamic>(y + k + 1, y[k], &A(k, k) + 1, n - k - 1);
+  for (int k = n - 1; k >= 0; --k) {
+    y[k] /= A(k, k);
+    subtract<Eigen::Dynamic>(y, y[k], &A(0, k), k);
+  }
+}
+
+// y <- A^-1 y with the factor of a positive definite A.
+void solve_positive(const SquareMap<Eigen::Dynamic>& L, double* y) {
+  const int n = static_cast<int>(L.rows());
+  for (int k = 0; k < n; ++k) {
+    y[k] /= L(k, k);
+    subtract<Eigen::Dynamic>(y + k + 1, y[k], &L(k, k) + 1, n - k - 1);
+  }
+  for (int k = n - 1; k >= 0; --k)
+    y[k] = (y[k] - Eigen::Map<const VecX>(&L(k, k) + 1, n - k - 1).dot(Eigen::Map<const VecX>(y + k + 1, n - k - 1))) /
+           L(k, k);
 }
 
 using SixThree = Eigen::Matrix<double, 6, 3>;
@@ -145,7 +186,7 @@ void BlockFactor::layout() {
   upper_.resize(off);
   y_.resize(total);
   scratch_.resize(static_cast<std::size_t>(largest) * largest);
-  exchanged_.resize(largest);
+  exchanged_.resize(total);
 }
 
 void BlockFactor::analyse(const BlockProblem& problem) {
@@ -184,6 +225,12 @@ template <int N>
 bool BlockFactor::eliminate() {
   for (const Pivot& p : pivots_) {
     Block<N> D(&diagonal_[p.diagonal], p.size, p.size);
+    if (is_factor<N>(p)) {
+      const SquareMap<Eigen::Dynamic> last(D.data(), p.size, p.size);
+      if (!(symmetric_ ? factor_cholesky<Eigen::Dynamic>(last) : factor_general(last, &exchanged_[p.start])))
+        return false;
+      continue;
+    }
     if (!(symmetric_ ? invert_cholesky<N>(D) : invert_general<N>(D, exchanged_.data()))) return false;
     for (int e = p.begin; e < p.end; ++e) {
       const int rows = pivots_[rows_[e]].size;
@@ -234,7 +281,7 @@ void BlockFactor::substitute() {
   for (const Pivot& p : pivots_) {
     const Block<N> D(&diagonal_[p.diagonal], p.size, p.size);
     auto y = part(p);
-    if (symmetric_) {
+    if (symmetric_ && !is_factor<N>(p)) {
       z.noalias() = D * y;
       y = z;
     }
@@ -252,6 +299,14 @@ void BlockFactor::substitute() {
         y.noalias() -= Block<N>(&lower_[places_[e]], q.size, p->size).transpose() * part(q);
       else
         y.noalias() -= Block<N>(&upper_[places_[e]], p->size, q.size) * part(q);
+    }
+    if (is_factor<N>(*p)) {
+      const SquareMap<Eigen::Dynamic> factor(&diagonal_[p->diagonal], p->size, p->size);
+      if (symmetric_)
+        solve_positive(factor, y.data());
+      else
+        solve_general(factor, &exchanged_[p->start], y.data());
+      continue;
     }
     if (symmetric_)
       z.noalias() = D.transpose() * y;

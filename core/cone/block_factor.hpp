@@ -28,6 +28,14 @@ class BlockFactor {
   bool solve(VecX& x);
 
  private:
+  // Blocks in the order of elimination: their place in the problem, first degree of freedom there and in y_, size.
+  struct Pivot {
+    int block = 0, first = 0, start = 0, size = 0;
+    std::size_t diagonal = 0;
+    int begin = 0, end = 0;  // entries below
+    std::size_t table = 0;   // of the entries that a pair of those below updates
+  };
+
   void order(const BlockProblem& problem);
   void layout();
   void assemble(const BlockProblem& problem, const std::vector<Mat3>& K);
@@ -37,14 +45,13 @@ class BlockFactor {
   template <int N>
   void substitute();
   int entry(int column, int row) const;  // of row below column
+  // Where nothing is eliminated from others the factor is enough, at a third of the price of the inverse. The inverse
+  // of a free body is cheaper in the solutions.
+  template <int N>
+  static bool is_factor(const Pivot& p) {
+    return N != 6 && p.begin == p.end;
+  }
 
-  // Blocks in the order of elimination: their place in the problem, first degree of freedom there and in y_, size.
-  struct Pivot {
-    int block = 0, first = 0, start = 0, size = 0;
-    std::size_t diagonal = 0;
-    int begin = 0, end = 0;  // entries below
-    std::size_t table = 0;   // of the entries that a pair of those below updates
-  };
   std::vector<Pivot> pivots_;
   std::vector<int> position_;                     // of each block of the problem, -1: no contact
   std::vector<std::vector<int>> near_;            // neighbours, then what stays of them at elimination
@@ -52,9 +59,9 @@ class BlockFactor {
   std::vector<int> rows_;                         // per entry below a diagonal
   std::vector<std::size_t> places_;               // of its numbers in lower_ and upper_
   std::vector<int> updates_;                      // tables of entries
-  std::vector<double> diagonal_, lower_, upper_;  // diagonal_: inverses after a factorization
+  std::vector<double> diagonal_, lower_, upper_;  // diagonal_: inverses or factors after a factorization
   std::vector<double> y_, scratch_;
-  std::vector<int> exchanged_;  // rows of a pivot
+  std::vector<int> exchanged_;  // rows of the pivots
   bool symmetric_ = true, only_six_ = true;
 };
 

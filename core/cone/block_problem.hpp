@@ -25,7 +25,8 @@ struct BlockContact {
 
 struct BlockProblem {
   std::vector<int> start;              // (blocks + 1,): first degree of freedom of each block; the last one is nv
-  std::vector<MatX> M;                 // per block, symmetric positive definite [kg; kg m; kg m^2]
+  std::vector<MatX> M;                 // per block, symmetric positive definite [kg; kg m; kg m^2],
+  std::vector<MatX> inverse;           // and its inverse
   std::vector<BlockContact> contacts;  // their rows follow each other without gaps
   std::vector<double> W;               // coefficients of the rows, row after row (BlockContact::column)
   VecX v_free;                         // (nv,) [m/s; rad/s]

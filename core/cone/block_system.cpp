@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
-#include "cone/inverse_cholesky.hpp"
 
 namespace contactvi {
 
@@ -94,27 +93,13 @@ void BlockSystem::mobility(const BlockProblem& problem) {
   for (std::size_t i = 0; i < places_.size(); ++i) matrices_[i].finish(floor, places_[i].rows == 1);
 }
 
-bool BlockSystem::invert(const BlockProblem& problem) {
-  const int blocks = problem.blocks();
-  if (static_cast<int>(problem.M.size()) != blocks) return false;
-  if (static_cast<int>(inverse_.size()) < blocks) inverse_.resize(blocks);
-  for (int block = 0; block < blocks; ++block) {
-    const int n = problem.size(block);
-    const MatX& M = problem.M[block];
-    if (M.rows() != n || M.cols() != n || !M.allFinite()) return false;
-    factor_.assign(M.data(), M.data() + M.size());
-    MatX& inverse = inverse_[block];
-    inverse.resize(n, n);
-    if (n == 6) {
-      const SquareMap<6> L(factor_.data());
-      if (!invert_cholesky<6>(L)) return false;
-      SquareMap<6>(inverse.data()).noalias() = L.transpose() * L;
-    } else {
-      const SquareMap<Eigen::Dynamic> L(factor_.data(), n, n);
-      if (!invert_cholesky<Eigen::Dynamic>(L)) return false;
-      inverse.noalias() = L.transpose() * L;
-    }
-    if (!inverse_[block].allFinite()) return false;
+bool BlockSystem::check_masses(const BlockProblem& problem) {
+  const auto blocks = static_cast<std::size_t>(problem.blocks());
+  if (problem.M.size() != blocks || problem.inverse.size() != blocks) return false;
+  for (std::size_t block = 0; block < blocks; ++block) {
+    const int n = problem.size(static_cast<int>(block));
+    for (const MatX* X : {&problem.M[block], &problem.inverse[block]})
+      if (X->rows() != n || X->cols() != n || !X->allFinite()) return false;
   }
   return true;
 }
@@ -122,7 +107,7 @@ bool BlockSystem::invert(const BlockProblem& problem) {
 bool BlockSystem::prepare(const BlockProblem& problem) {
   problem_ = nullptr;
   matrices_.clear();
-  if (problem.start.empty() || !finite(problem.W) || !invert(problem) || !place(problem)) return false;
+  if (problem.start.empty() || !finite(problem.W) || !check_masses(problem) || !place(problem)) return false;
   response_.resize(problem.W.size());
   for (std::size_t i = 0; i < places_.size(); ++i) {
     const Place& p = places_[i];
@@ -133,9 +118,9 @@ bool BlockSystem::prepare(const BlockProblem& problem) {
       for (int r = 0; r < p.rows; ++r, column += n) {
         if (n == 6)
           SixMap(&response_[column]).noalias() =
-              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(inverse_[block].data()) * SixCMap(&problem.W[column]);
+              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(problem.inverse[block].data()) * SixCMap(&problem.W[column]);
         else
-          AnyMap(&response_[column], n).noalias() = inverse_[block] * AnyCMap(&problem.W[column], n);
+          AnyMap(&response_[column], n).noalias() = problem.inverse[block] * AnyCMap(&problem.W[column], n);
       }
     }
   }

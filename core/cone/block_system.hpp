@@ -1,4 +1,4 @@
-// A prepared block problem: the factors of the masses, M^-1 W^T of each contact, the contacts' own matrices, and the
+// A prepared block problem: M^-1 W^T of each contact, the contacts' own matrices, and the
 // products that the stages of the solver need.
 #pragma once
 
@@ -11,7 +11,7 @@ namespace contactvi {
 
 class BlockSystem {
  public:
-  // Reads masses, contacts and W; false if they are not finite, a mass is not positive or the rows do not fit together.
+  // Reads masses, contacts and W; false if they are not finite or the rows do not fit together.
   bool prepare(const BlockProblem& problem);
   // Reads what may change between solves, and the scale of speeds; false if it is not finite.
   bool start(const BlockProblem& problem);
@@ -49,7 +49,7 @@ class BlockSystem {
     int a = 0, size_a = 0, b = 0, size_b = 0;  // first degree of freedom and their number, of both blocks
     int rows = 0, row = 0, column = 0;
   };
-  bool invert(const BlockProblem& problem);
+  static bool check_masses(const BlockProblem& problem);
   bool place(const BlockProblem& problem);
   void mobility(const BlockProblem& problem);
   void add(const double* values, int c, int rows, const Vec3& d, VecX& x) const;
@@ -58,8 +58,6 @@ class BlockSystem {
   std::vector<Place> places_;
   std::vector<double> response_;  // M^-1 W^T, laid out as W
   std::vector<ContactMatrix> matrices_;
-  std::vector<MatX> inverse_;   // M^-1 per block
-  std::vector<double> factor_;  // of one block's mass
   double scale_ = 1.0;
   bool bounded_ = false;
 };

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/disjoint_sets.hpp"
+#include "cone/inverse_cholesky.hpp"
 
 namespace contactvi {
 
@@ -79,7 +80,8 @@ void ReducedSolver::find_basis(const BlockProblem& problem, const Eigen::Ref<con
   group.N.bottomRows(group.N.cols()).setIdentity();
   group.N.applyOnTheLeft(group.decomposed.householderQ());
   group.MN = times_masses(problem, group, group.N);
-  group.masses.compute(group.N.transpose() * group.MN);
+  group.NMN = group.N.transpose() * group.MN;
+  group.masses.compute(group.NMN);
 }
 
 void ReducedSolver::project(const VecCRef& rate, VecRef v) const {
@@ -130,59 +132,75 @@ bool ReducedSolver::find_sides(const BlockProblem& problem, const BlockContact& 
   return left > kIdle * kIdle * whole;
 }
 
+VecX ReducedSolver::Group::coordinates(const VecX& v) const {
+  VecX x = free() ? v : MN.transpose() * v;
+  if (!few) return free() ? x : VecX(masses.solve(x));
+  if (free())
+    x = masses.matrixU() * x;
+  else
+    masses.matrixL().solveInPlace(x);
+  x.applyOnTheLeft(reached.householderQ().transpose());
+  return x.head(touching);
+}
+
+VecX ReducedSolver::Group::velocity(const VecX& u) const {
+  if (!few) return free() ? u : VecX(N * u);
+  VecX x = VecX::Zero(reached.rows());
+  x.head(touching) = u;
+  x.applyOnTheLeft(reached.householderQ());
+  masses.matrixU().solveInPlace(x);
+  return free() ? x : VecX(N * x);
+}
+
 // The basis S of a group, and its block of the reduced problem.
 void ReducedSolver::choose(const BlockProblem& problem, Group& group, int number) {
-  const bool free = group.equations.empty();
-  const Eigen::Index size = free ? static_cast<Eigen::Index>(group.dofs.size()) : group.N.cols();
-  const bool few = size > kSmall && group.touching < kFewRows * static_cast<double>(size);
-  group.whole = free && !few;
-  group.block = size == 0 || (few && group.touching == 0) ? -1 : reduced_.blocks();
+  const auto size = group.free() ? static_cast<Eigen::Index>(group.dofs.size()) : group.N.cols();
+  group.few = size > kSmall && group.touching < kFewRows * static_cast<double>(size);
+  group.block = size == 0 || (group.few && group.touching == 0) ? -1 : reduced_.blocks();
   group.first = reduced_.start.back();
   if (group.block < 0) return;
-  if (group.whole) {
-    reduced_.start.push_back(group.first + static_cast<int>(size));
-    reduced_.M.push_back(problem.M[group.blocks[0]]);
-    return;
-  }
-  if (few) {
-    if (free) group.masses.compute(problem.M[group.blocks[0]]);
+  if (group.few) {
+    if (group.free()) group.masses.compute(problem.M[group.blocks[0]]);
     MatX A(size, group.touching);
     Eigen::Index column = 0;
-    for (const std::array<Side, 2>& contact : sides_)
-      for (const Side& side : contact) {
+    for (std::array<Side, 2>& contact : sides_)
+      for (Side& side : contact) {
         if (side.group != number) continue;
         A.middleCols(column, side.rows.cols()) = side.rows;
+        side.column = static_cast<int>(column);
         column += side.rows.cols();
       }
     group.masses.matrixL().solveInPlace(A);
-    const Eigen::HouseholderQR<MatX> qr(A);
-    group.T = qr.householderQ() * MatX::Identity(size, group.touching);
-    group.masses.matrixU().solveInPlace(group.T);
-    group.S = free ? group.T : MatX(group.N * group.T);
-    group.MS = times_masses(problem, group, group.S);
+    group.reached.compute(A);
     reduced_.M.push_back(MatX::Identity(group.touching, group.touching));
+    reduced_.inverse.push_back(reduced_.M.back());
+  } else if (group.free()) {
+    reduced_.M.push_back(problem.M[group.blocks[0]]);
+    reduced_.inverse.push_back(problem.inverse[group.blocks[0]]);
   } else {
-    group.T.resize(0, 0);
-    group.S = group.N;
-    group.MS = group.MN;
-    reduced_.M.push_back(group.S.transpose() * group.MS);
+    reduced_.M.push_back(group.NMN);
+    reduced_.inverse.emplace_back();
+    invert_positive(group.NMN, reduced_.inverse.back());
   }
-  group.reduced.compute(reduced_.M.back());
-  reduced_.start.push_back(group.first + static_cast<int>(group.S.cols()));
+  reduced_.start.push_back(group.first + static_cast<int>(reduced_.M.back().rows()));
 }
 
 void ReducedSolver::add_contact(const BlockContact& c, int number) {
   BlockContact reduced = c;
-  const std::array<Side, 2>& sides = sides_[number];
+  std::array<Side, 2>& sides = sides_[number];
   reduced.a = groups_[sides[0].group].block;
   reduced.b = sides[1].group >= 0 ? groups_[sides[1].group].block : -1;
   reduced.row = static_cast<int>(reduced_.offset.size());
   reduced.column = static_cast<int>(reduced_.W.size());
-  for (const Side& side : sides) {
+  for (Side& side : sides) {
     if (side.group < 0) continue;
-    const MatX& T = groups_[side.group].T;
-    const MatX rows = T.size() > 0 ? MatX(T.transpose() * side.rows) : side.rows;
-    reduced_.W.insert(reduced_.W.end(), rows.data(), rows.data() + rows.size());
+    const Group& group = groups_[side.group];
+    if (group.few) {
+      side.rows = group.reached.matrixQR().block(0, side.column, group.touching, side.rows.cols());
+      for (Eigen::Index k = 0; k < side.rows.cols(); ++k)
+        side.rows.col(k).tail(group.touching - side.column - k - 1).setZero();
+    }
+    reduced_.W.insert(reduced_.W.end(), side.rows.data(), side.rows.data() + side.rows.size());
   }
   reduced_.contacts.push_back(reduced);
   reduced_.offset.conservativeResize(reduced.row + c.rows);
@@ -206,6 +224,7 @@ void ReducedSolver::prepare(const BlockProblem& problem) {
   reduced_.contacts.clear();
   reduced_.W.clear();
   reduced_.M.clear();
+  reduced_.inverse.clear();
   reduced_.offset.resize(0);
   reduced_.start = {0};
   for (std::vector<int>* list : {&kept_, &idle_}) list->clear();
@@ -234,14 +253,12 @@ void ReducedSolver::split(const VecCRef& v) {
   u_.resize(reduced_.start.back());
   for (const Group& group : groups_) {
     if (group.block < 0) continue;
-    if (group.whole) {
-      u_.segment(group.first, static_cast<Eigen::Index>(group.dofs.size())) = v(group.dofs);
-      held_(group.dofs).setZero();
-      continue;
-    }
-    const VecX part = group.reduced.solve(group.MS.transpose() * v(group.dofs));
+    const VecX part = group.coordinates(v(group.dofs));
     u_.segment(group.first, part.size()) = part;
-    held_(group.dofs) -= group.S * part;
+    if (group.whole())
+      held_(group.dofs).setZero();
+    else
+      held_(group.dofs) -= group.velocity(part);
   }
 }
 
@@ -249,10 +266,7 @@ void ReducedSolver::join(VecRef v) const {
   v = held_;
   for (const Group& group : groups_) {
     if (group.block < 0) continue;
-    if (group.whole)
-      v(group.dofs) += u_.segment(group.first, static_cast<Eigen::Index>(group.dofs.size()));
-    else
-      v(group.dofs) += group.S * u_.segment(group.first, group.S.cols());
+    v(group.dofs) += group.velocity(u_.segment(group.first, reduced_.size(group.block)));
   }
 }
 

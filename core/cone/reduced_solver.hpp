@@ -4,8 +4,8 @@
 //
 // Equations, W_e^T v = W_e^T v_free for multipliers of their own, leave a basis of velocities, W_e^T S = 0, per group
 // of blocks that they join. They may be redundant. Of a large block on which few rows act, as of a robot on its feet,
-// the velocities that these do not reach are held as well: S is then a basis of M^-1 W, and the problem is no larger
-// than its rows. Where neither is so it is the BlockSolver itself.
+// the velocities that these do not reach are held as well: S is then a basis of M^-1 W with S^T M S = 1, and the problem
+// is no larger than its rows. Where neither is so it is the BlockSolver itself.
 #pragma once
 
 #include <Eigen/Cholesky>
@@ -37,20 +37,24 @@ class ReducedSolver {
   struct Group {
     std::vector<int> blocks, dofs, equations;
     // Of the equations: their rows scaled to length one, (dofs, equations), and a basis N of the velocities that they
-    // leave, with M N and the factor of N^T M N. Without equations N is the unit matrix.
+    // leave, with M N, N^T M N and its factor L L^T. Without equations N is the unit matrix.
     VecX scale;
-    MatX rows, N, MN;
+    MatX rows, N, MN, NMN;
     Eigen::CompleteOrthogonalDecomposition<MatX> decomposed;
     Eigen::LLT<MatX> masses;
     int touching = 0;           // rows of contacts
-    bool whole = true;          // S is the unit matrix
     int first = 0, block = -1;  // in the reduced problem; -1: nothing there can change
-    MatX T, S, MS;              // S = N T; empty where it is whole
-    Eigen::LLT<MatX> reduced;   // S^T M S
+    bool few = false;           // S = N L^-T Q with L^-1 N^T W = Q R; else S = N
+    Eigen::HouseholderQR<MatX> reached;
+    bool free() const { return equations.empty(); }
+    bool whole() const { return free() && !few; }  // S is the unit matrix
+    VecX coordinates(const VecX& v) const;         // u
+    VecX velocity(const VecX& u) const;            // S u
   };
   struct Side {  // of a contact: its group and rows there, in the basis N
     int group = -1;
     MatX rows;
+    int column = 0;  // first of them among all rows of contacts there
   };
   bool any() const { return equations_ > 0; }
   void find_groups(const BlockProblem& problem, const Eigen::Ref<const MatX>& W);

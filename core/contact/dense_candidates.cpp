@@ -91,8 +91,24 @@ void DenseCandidates::add_points(const Near& near, const std::vector<DenseImpuls
   }
   for (const ContactPoint& point : points_) add(point, frozen(point, near.witness0), near, impulses);
   if (!scene_->is_pair(near.guard)) return;
+  add_loaded(near, impulses);
   add_rims(near, impulses);
   add_ends(near, impulses);
+}
+
+// Corners that carried something in the last step, where others span a larger area: without them the step would be
+// solved twice.
+void DenseCandidates::add_loaded(const Near& near, const std::vector<DenseImpulse>& impulses) {
+  Manifolds& manifolds = guards_->manifolds();
+  for (const DenseImpulse& impulse : impulses) {
+    const Feature kind = feature_kind(impulse.feature);
+    if (impulse.guard != near.guard || (kind != Feature::kVertexA && kind != Feature::kVertexB)) continue;
+    const ContactPoint point = manifolds.point(near.guard, guards_->placements(), near.witness0, impulse.feature);
+    Contact contact;
+    evaluate(point, nullptr, contact);
+    if (contact.gap <= std::max(near.gap0, 0.0) + near.reach && manifolds.is_over_face(point, guards_->placements()))
+      add(point, point, near, impulses);
+  }
 }
 
 // Lines that are nearly parallel may touch at either end within the step.

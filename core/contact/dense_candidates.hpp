@@ -80,6 +80,7 @@ class DenseCandidates {
   bool is_near(Near& near);
   void add_points(const Near& near, const std::vector<DenseImpulse>& impulses);
   void add_ends(const Near& near, const std::vector<DenseImpulse>& impulses);
+  void add_loaded(const Near& near, const std::vector<DenseImpulse>& impulses);
   void add_rims(const Near& near, const std::vector<DenseImpulse>& impulses);
   void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
   ContactPoint frozen(const ContactPoint& point, const Contact& witness) const {

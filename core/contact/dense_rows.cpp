@@ -1,14 +1,14 @@
 #include "contact/dense_rows.hpp"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 
 #include "base/error.hpp"
+#include "cone/inverse_cholesky.hpp"
 #include "model/point_jacobian.hpp"
 
 namespace contactvi {
 
-DenseRows::DenseRows(const Scene& scene) : scene_(&scene), row_(VecX::Zero(scene.tree.nv)) {
+DenseRows::DenseRows(const Scene& scene) : scene_(&scene), body_rows_(MatX::Zero(scene.tree.nv, 3)) {
   // Blocks: the subtrees of the world's children.
   const Tree& tree = scene.tree;
   problem_.start = {0};
@@ -24,6 +24,7 @@ DenseRows::DenseRows(const Scene& scene) : scene_(&scene), row_(VecX::Zero(scene
   for (int b = 0; b < problem_.blocks(); ++b) {
     largest = std::max(largest, problem_.size(b));
     problem_.M.emplace_back(problem_.size(b), problem_.size(b));
+    problem_.inverse.emplace_back(problem_.size(b), problem_.size(b));
   }
   inverse_.resize(tree.nv, largest);
   problem_.v_free.setZero(tree.nv);
@@ -38,10 +39,9 @@ void DenseRows::set_unit_columns() {
 void DenseRows::invert() {
   for (int b = 0; b < problem_.blocks(); ++b) {
     const int n = problem_.size(b);
-    MatX inverse = inverse_.block(problem_.start[b], 0, n, n);
-    inverse = 0.5 * (inverse + inverse.transpose().eval());
-    problem_.M[b] = inverse.llt().solve(MatX::Identity(n, n));
-    problem_.M[b] = 0.5 * (problem_.M[b] + problem_.M[b].transpose().eval());
+    const auto inverse = inverse_.block(problem_.start[b], 0, n, n);
+    problem_.inverse[b] = 0.5 * (inverse + inverse.transpose());
+    invert_positive(problem_.inverse[b], problem_.M[b]);
   }
 }
 
@@ -60,13 +60,13 @@ BlockContact& DenseRows::add_block(int a, int b, int rows) {
   return problem_.contacts.back();
 }
 
-// Adds a body's part of a row to the coefficients of its tree, which begin at `column`.
-void DenseRows::write_row(int column, int block, int body, const Vec3& x, const Vec3& n, double sign,
-                          const Placements& at) {
+// Adds a body's part of the rows to the coefficients of its tree, which begin at `column`.
+void DenseRows::add_rows(int column, int block, int body, const Vec3& x, const Vec3* directions, int rows, double sign,
+                         const Placements& at) {
   const int first = problem_.start[block], size = problem_.size(block);
-  row_.segment(first, size).setZero();
-  add_point_row(scene_->tree, at, body, x, n, sign, row_);
-  for (int d = 0; d < size; ++d) problem_.W[column + d] += row_[first + d];
+  body_rows_.block(first, 0, size, rows).setZero();
+  add_point_rows(scene_->tree, at, body, x, directions, sign, body_rows_.leftCols(rows));
+  Eigen::Map<MatX>(problem_.W.data() + column, size, rows) += body_rows_.block(first, 0, size, rows);
 }
 
 void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements& at) {
@@ -78,13 +78,12 @@ void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements
   block.mu = c.mu;
   const Vec3& t1 = at_end ? c.t1_1 : c.t1_0;
   const Vec3 directions[3] = {contact.normal, t1, contact.normal.cross(t1)};
-  const int size_1 = problem_.size(first), size_2 = second >= 0 ? problem_.size(second) : 0;
-  for (int r = 0; r < block.rows; ++r) {
-    const int column_1 = block.column + r * size_1, column_2 = block.column + block.rows * size_1 + r * size_2;
-    if (tree_a >= 0) write_row(column_1, first, contact.body_a, contact.point_a, directions[r], -1.0, at);
-    if (tree_b < 0) continue;
-    write_row(tree_b == first ? column_1 : column_2, tree_b, contact.body_b, contact.point_b, directions[r], 1.0, at);
-  }
+  const int size_1 = problem_.size(first);
+  const int column_2 = block.column + block.rows * size_1;
+  if (tree_a >= 0) add_rows(block.column, first, contact.body_a, contact.point_a, directions, block.rows, -1.0, at);
+  if (tree_b < 0) return;
+  add_rows(tree_b == first ? block.column : column_2, tree_b, contact.body_b, contact.point_b, directions, block.rows,
+           1.0, at);
 }
 
 void DenseRows::clear() {
@@ -135,9 +134,9 @@ double DenseRows::mobility(std::size_t k) const {
   const double* w = problem_.W.data() + c.column;
   for (int block : {c.a, c.b}) {
     if (block < 0) continue;
-    const int n = problem_.size(block), first = problem_.start[block];
+    const int n = problem_.size(block);
     const Eigen::Map<const VecX> row(w, n);
-    sum += row.dot(inverse_.block(first, 0, n, n) * row);
+    sum += row.dot(problem_.inverse[block] * row);
     w = problem_.W.data() + c.column + c.rows * n;
   }
   return sum;

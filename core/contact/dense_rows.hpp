@@ -43,13 +43,14 @@ class DenseRows {
   void invert();
   BlockContact& add_block(int a, int b, int rows);
   void add_contact(const DenseContact& c, bool at_end, const Placements& at);
-  void write_row(int column, int block, int body, const Vec3& x, const Vec3& n, double sign, const Placements& at);
+  void add_rows(int column, int block, int body, const Vec3& x, const Vec3* directions, int rows, double sign,
+                const Placements& at);
 
   const Scene* scene_;
   BlockProblem problem_;
   std::vector<int> tree_of_joint_;
   MatX inverse_;  // (nv, largest block): the inverse masses, block under block
-  VecX row_;
+  MatX body_rows_;  // (nv, 3)
   int rows_ = 0, columns_ = 0;
 };
 

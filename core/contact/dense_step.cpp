@@ -386,7 +386,6 @@ bool DenseStep::position_impulses() {
 // --- velocity impulse ---
 
 bool DenseStep::velocity_impulses(double bound_energy) {
-  integrator_.place_node(q1_);
   guards_->place(q1_);
   std::vector<DenseContact>& all = candidates_.contacts();
   active_.clear();
@@ -398,9 +397,6 @@ bool DenseStep::velocity_impulses(double bound_energy) {
     c.t1_1 = scene_->is_pair(c.point.guard) ? carried_tangent(c.t1_0, c.at0.normal, c.at1.normal) : Vec3(Vec3::Zero());
     if (c.closed) active_.push_back(i);
   }
-  v1_ = p1_;
-  integrator_.solve_mass(v1_);
-  if (!v1_.allFinite()) return fail("a number is not finite");
   rows_.set_masses([this](MatX& X) { integrator_.solve_masses(X); });
   rows_.set(all, active_, true, guards_->placements(), h_);
   BlockProblem& problem = rows_.problem();
@@ -494,7 +490,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   report_ = DenseReport();
   if (!solve_smooth(q0, p0, h, tau)) return false;
   if (recorder_) recorder_->begin(q0_, p0_, h, kept == Kept::kEnergy);
-  const Energy before = energy(integrator_, q0, p0);
+  const Energy before = energy(integrator_, q0, p0, v0_);
   integrator_.set_start_momentum(p_start_);
   integrator_.finish(q1_, p1_);
   if (constrained()) close_rates(p1_);
@@ -503,7 +499,11 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   if (recorder_) recorder_->take_masses(rows_.problem());
   bound_velocities();
   if (!position_impulses()) return false;
-  const Energy middle = energy(integrator_, q1_, p1_);
+  integrator_.place_node(q1_);
+  v1_ = p1_;
+  integrator_.solve_mass(v1_);
+  if (!v1_.allFinite()) return fail("a number is not finite");
+  const Energy middle = energy(integrator_, q1_, p1_, v1_);
   report_.energy_error =
       kEnergyRounding * (size_of(before) + size_of(free)) + smooth_error + contacts_error(before, free, middle);
   // What constraints drive does work that depends on the impulses: no bound on the energy is known before them.

@@ -172,9 +172,13 @@ Energy energy(StepEquations& equations, const VecCRef& q, const VecCRef& p) {
   VecX v(tree.nv);
   if (!equations.node_velocity(q, p, v))
     return {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN()};
-  Placements at(tree);
-  place(tree, q, at);
-  return {0.5 * p.dot(v), total_potential(tree, equations.field(), at, q)};
+  return energy(equations, q, p, v);
+}
+
+Energy energy(StepEquations& equations, const VecCRef& q, const VecCRef& p, const VecCRef& v) {
+  Placements at(equations.tree());
+  place(equations.tree(), q, at);
+  return {0.5 * p.dot(v), total_potential(equations.tree(), equations.field(), at, q)};
 }
 
 double largest_turn(const Tree& tree, const VecCRef& v, double h) {

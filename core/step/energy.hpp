@@ -11,6 +11,8 @@ struct Energy {
 
 // Engine coordinates. NaN if the mass matrix is not positive.
 Energy energy(StepEquations& equations, const VecCRef& q, const VecCRef& p);
+// With the velocity v of the momentum p, where it is known.
+Energy energy(StepEquations& equations, const VecCRef& q, const VecCRef& p, const VecCRef& v);
 
 // The largest turn of a joint over the step h at the velocities v [rad].
 double largest_turn(const Tree& tree, const VecCRef& v, double h);
