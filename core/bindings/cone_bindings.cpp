@@ -17,7 +17,6 @@
 #include "cone/block_solver.hpp"
 #include "cone/block_system.hpp"
 #include "cone/interior_point.hpp"
-#include "cone/inverse_cholesky.hpp"
 #include "cone/solver.hpp"
 
 namespace nb = nanobind;
@@ -122,9 +121,9 @@ class BlockContacts {
     for (const int n : sizes) {
       if (n < 0 || read + n * n > masses.size()) throw Error("expected masses of sizes[i]^2 numbers each");
       problem_.start.push_back(problem_.start.back() + n);
-      problem_.M.push_back(Eigen::Map<const MatX>(masses.data() + read, n, n));
-      problem_.inverse.emplace_back();
-      invert_positive(problem_.M.back(), problem_.inverse.back());
+      const int block = problem_.M.count();
+      problem_.M.resize(block + 1);
+      problem_.M.set(block, Eigen::Map<const MatX>(masses.data() + read, n, n));
       read += n * n;
     }
     int row = 0, column = 0;

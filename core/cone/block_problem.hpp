@@ -9,6 +9,7 @@
 // The laws are those of problem.hpp, which keeps the matrix G = W^T M^-1 W dense.
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <vector>
 
 #include "base/numerics.hpp"
@@ -23,10 +24,34 @@ struct BlockContact {
   double mu = 0.0, lower = 0.0, box = 0.0;  // box > 0: joint friction
 };
 
+// The masses of the blocks, symmetric positive definite [kg; kg m; kg m^2], and their inverses C C^T. Masses and factors
+// are made of the inverses when they are first asked for: many problems are solved without.
+class BlockMasses {
+ public:
+  int count() const { return static_cast<int>(blocks_.size()); }
+  void resize(int blocks) { blocks_.resize(blocks); }
+  void set_inverse(int block, const Eigen::Ref<const MatX>& inverse);
+  // Not a number if the masses are not positive.
+  void set(int block, const Eigen::Ref<const MatX>& masses);
+  void copy(int block, const BlockMasses& other, int from);
+  const MatX& inverse(int block) const { return blocks_[block].inverse; }
+  const MatX& operator[](int block) const;
+  const Eigen::LLT<MatX>& factor(int block) const;  // C
+  // x.M y of vectors of one block [J].
+  double product(int block, const VecCRef& x, const VecCRef& y) const;
+
+ private:
+  struct Block {
+    MatX inverse, masses;
+    Eigen::LLT<MatX> factor;
+    bool has_masses = false, has_factor = false;
+  };
+  mutable std::vector<Block> blocks_;
+};
+
 struct BlockProblem {
   std::vector<int> start;              // (blocks + 1,): first degree of freedom of each block; the last one is nv
-  std::vector<MatX> M;                 // per block, symmetric positive definite [kg; kg m; kg m^2],
-  std::vector<MatX> inverse;           // and its inverse
+  BlockMasses M;
   std::vector<BlockContact> contacts;  // their rows follow each other without gaps
   std::vector<double> W;               // coefficients of the rows, row after row (BlockContact::column)
   VecX v_free;                         // (nv,) [m/s; rad/s]

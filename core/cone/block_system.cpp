@@ -94,12 +94,11 @@ void BlockSystem::mobility(const BlockProblem& problem) {
 }
 
 bool BlockSystem::check_masses(const BlockProblem& problem) {
-  const auto blocks = static_cast<std::size_t>(problem.blocks());
-  if (problem.M.size() != blocks || problem.inverse.size() != blocks) return false;
-  for (std::size_t block = 0; block < blocks; ++block) {
-    const int n = problem.size(static_cast<int>(block));
-    for (const MatX* X : {&problem.M[block], &problem.inverse[block]})
-      if (X->rows() != n || X->cols() != n || !X->allFinite()) return false;
+  if (problem.M.count() != problem.blocks()) return false;
+  for (int block = 0; block < problem.blocks(); ++block) {
+    const MatX& inverse = problem.M.inverse(block);
+    if (inverse.rows() != problem.size(block) || inverse.cols() != problem.size(block) || !inverse.allFinite())
+      return false;
   }
   return true;
 }
@@ -118,9 +117,9 @@ bool BlockSystem::prepare(const BlockProblem& problem) {
       for (int r = 0; r < p.rows; ++r, column += n) {
         if (n == 6)
           SixMap(&response_[column]).noalias() =
-              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(problem.inverse[block].data()) * SixCMap(&problem.W[column]);
+              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(problem.M.inverse(block).data()) * SixCMap(&problem.W[column]);
         else
-          AnyMap(&response_[column], n).noalias() = problem.inverse[block] * AnyCMap(&problem.W[column], n);
+          AnyMap(&response_[column], n).noalias() = problem.M.inverse(block) * AnyCMap(&problem.W[column], n);
       }
     }
   }
@@ -212,8 +211,7 @@ double BlockSystem::product(const VecX& x, const VecX& y) const {
   double sum = 0.0;
   for (int block = 0; block < problem_->blocks(); ++block) {
     const int first = problem_->start[block], n = problem_->size(block);
-    const MatX& M = problem_->M[block];
-    for (int j = 0; j < n; ++j) sum += y[first + j] * AnyCMap(M.data() + j * n, n).dot(AnyCMap(x.data() + first, n));
+    if (n > 0) sum += problem_->M.product(block, AnyCMap(x.data() + first, n), AnyCMap(y.data() + first, n));
   }
   return sum;
 }

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "base/disjoint_sets.hpp"
-#include "cone/inverse_cholesky.hpp"
 
 namespace contactvi {
 
@@ -133,22 +132,21 @@ bool ReducedSolver::find_sides(const BlockProblem& problem, const BlockContact& 
 }
 
 VecX ReducedSolver::Group::coordinates(const VecX& v) const {
-  VecX x = free() ? v : MN.transpose() * v;
-  if (!few) return free() ? x : VecX(masses.solve(x));
-  if (free())
-    x = masses.matrixU() * x;
-  else
-    masses.matrixL().solveInPlace(x);
+  VecX x = free() ? v : VecX(masses.solve(MN.transpose() * v));
+  if (!few) return x;
+  inverse.matrixL().solveInPlace(x);
   x.applyOnTheLeft(reached.householderQ().transpose());
   return x.head(touching);
 }
 
 VecX ReducedSolver::Group::velocity(const VecX& u) const {
-  if (!few) return free() ? u : VecX(N * u);
-  VecX x = VecX::Zero(reached.rows());
-  x.head(touching) = u;
-  x.applyOnTheLeft(reached.householderQ());
-  masses.matrixU().solveInPlace(x);
+  VecX x = u;
+  if (few) {
+    x = VecX::Zero(reached.rows());
+    x.head(touching) = u;
+    x.applyOnTheLeft(reached.householderQ());
+    x = inverse.matrixL() * x;
+  }
   return free() ? x : VecX(N * x);
 }
 
@@ -159,8 +157,12 @@ void ReducedSolver::choose(const BlockProblem& problem, Group& group, int number
   group.block = size == 0 || (group.few && group.touching == 0) ? -1 : reduced_.blocks();
   group.first = reduced_.start.back();
   if (group.block < 0) return;
+  reduced_.M.resize(group.block + 1);
   if (group.few) {
-    if (group.free()) group.masses.compute(problem.M[group.blocks[0]]);
+    if (group.free())
+      group.inverse = problem.M.factor(group.blocks[0]);
+    else
+      group.inverse.compute(group.masses.solve(MatX::Identity(size, size)));
     MatX A(size, group.touching);
     Eigen::Index column = 0;
     for (std::array<Side, 2>& contact : sides_)
@@ -170,19 +172,15 @@ void ReducedSolver::choose(const BlockProblem& problem, Group& group, int number
         side.column = static_cast<int>(column);
         column += side.rows.cols();
       }
-    group.masses.matrixL().solveInPlace(A);
+    A = group.inverse.matrixU() * A;
     group.reached.compute(A);
-    reduced_.M.push_back(MatX::Identity(group.touching, group.touching));
-    reduced_.inverse.push_back(reduced_.M.back());
+    reduced_.M.set(group.block, MatX::Identity(group.touching, group.touching));
   } else if (group.free()) {
-    reduced_.M.push_back(problem.M[group.blocks[0]]);
-    reduced_.inverse.push_back(problem.inverse[group.blocks[0]]);
+    reduced_.M.copy(group.block, problem.M, group.blocks[0]);
   } else {
-    reduced_.M.push_back(group.NMN);
-    reduced_.inverse.emplace_back();
-    invert_positive(group.NMN, reduced_.inverse.back());
+    reduced_.M.set(group.block, group.NMN);
   }
-  reduced_.start.push_back(group.first + static_cast<int>(reduced_.M.back().rows()));
+  reduced_.start.push_back(group.first + static_cast<int>(reduced_.M.inverse(group.block).rows()));
 }
 
 void ReducedSolver::add_contact(const BlockContact& c, int number) {
@@ -223,8 +221,7 @@ void ReducedSolver::prepare(const BlockProblem& problem) {
   }
   reduced_.contacts.clear();
   reduced_.W.clear();
-  reduced_.M.clear();
-  reduced_.inverse.clear();
+  reduced_.M.resize(0);
   reduced_.offset.resize(0);
   reduced_.start = {0};
   for (std::vector<int>* list : {&kept_, &idle_}) list->clear();
@@ -274,7 +271,8 @@ double ReducedSolver::held_energy(const BlockProblem& problem) const {
   double energy = 0.0;
   for (int b = 0; b < problem.blocks(); ++b) {
     const auto v = held_.segment(problem.start[b], problem.size(b));
-    energy += 0.5 * v.dot(problem.M[b] * v);
+    if (v.isZero(0.0)) continue;
+    energy += 0.5 * problem.M.product(b, v, v);
   }
   return energy;
 }
@@ -316,7 +314,7 @@ BlockResult ReducedSolver::solve(const BlockProblem& problem, double bound, cons
   if (!reduces_) return solver_.solve(problem, bound, options, lambda, v);
   begin(problem, lambda, problem.v_free);
   reduced_.v_free = u_;
-  const BlockResult result = solver_.solve(reduced_, bound - held_energy(problem), options, lambda_, u_);
+  const BlockResult result = solver_.solve(reduced_, std::isfinite(bound) ? bound - held_energy(problem) : bound, options, lambda_, u_);
   finish(problem, lambda, v);
   return result;
 }

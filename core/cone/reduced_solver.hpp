@@ -37,14 +37,15 @@ class ReducedSolver {
   struct Group {
     std::vector<int> blocks, dofs, equations;
     // Of the equations: their rows scaled to length one, (dofs, equations), and a basis N of the velocities that they
-    // leave, with M N, N^T M N and its factor L L^T. Without equations N is the unit matrix.
+    // leave, with M N, N^T M N and its factor. Without equations N is the unit matrix.
     VecX scale;
     MatX rows, N, MN, NMN;
     Eigen::CompleteOrthogonalDecomposition<MatX> decomposed;
     Eigen::LLT<MatX> masses;
     int touching = 0;           // rows of contacts
     int first = 0, block = -1;  // in the reduced problem; -1: nothing there can change
-    bool few = false;           // S = N L^-T Q with L^-1 N^T W = Q R; else S = N
+    bool few = false;           // S = N C Q with C C^T = (N^T M N)^-1, C^T N^T W = Q R; else S = N
+    Eigen::LLT<MatX> inverse;   // C
     Eigen::HouseholderQR<MatX> reached;
     bool free() const { return equations.empty(); }
     bool whole() const { return free() && !few; }  // S is the unit matrix

@@ -35,6 +35,7 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
       guards_(&guards),
       manifolds_(&manifolds),
       integrator_(scene.tree),
+      costs_(scene.tree),
       bilateral_(scene.tree.elements.constraint_rows),
       friction_rows_(static_cast<int>(scene.tree.elements.friction_dofs.size())),
       v_(scene.tree.nv),
@@ -265,7 +266,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
   const double noise = (bilateral_ > 0 || iterated_ ? kLargerRounding : kGapRounding) / h;
   for (int k = 0; k < kMaxIterations; ++k) {
     ++counters.contact_iterations;
-    counters.cost += costs::contact_iteration(rows_);
+    counters.cost += costs_.contact_iteration(rows_);
     p_start_ = p0;
     p_start_.noalias() += node0_.W * lambda_;
     const double stage_change = integrator_.iterate(p_start_, k == 0, k == 0);
@@ -358,7 +359,7 @@ bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const Ve
   start_joint_friction(v_start_);
   h_ = h;
   ++counters.steps;
-  counters.cost += costs::contact_step();
+  counters.cost += costs_.contact_step();
   forget_parts();
   if (!iterate(q0, p0, h, tau, guess_) || !velocity_impulses()) return false;
   part_velocities_.add(0.0, v_start_);

@@ -25,6 +25,7 @@
 #include "cone/solver.hpp"
 #include "contact/contact_step_record.hpp"
 #include "geometry/guard.hpp"
+#include "model/step_costs.hpp"
 #include "step/impulse_step.hpp"
 #include "step/stepper.hpp"
 
@@ -225,6 +226,7 @@ class ContactStep final : public Stepper {
   const Manifolds* manifolds_;
   ImpulseStep integrator_;
   ConeSolver solver_;
+  const costs::Steps costs_;
   double residual_ = 0.0;  // of the last cone problem, 0 where it was solved
   std::vector<PersistentContact> contacts_;
   std::vector<ContactOutcome> outcomes_;

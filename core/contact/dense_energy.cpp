@@ -11,10 +11,10 @@ double kinetic_share(const BlockProblem& problem, const VecX& from, const VecX& 
   double start = 0.0, slope = 0.0, square = 0.0;
   for (int b = 0; b < problem.blocks(); ++b) {
     const int n = problem.size(b), first = problem.start[b];
-    const VecX v = from.segment(first, n), d = to.segment(first, n) - v, Md = problem.M[b] * d;
-    start += 0.5 * v.dot(problem.M[b] * v);
-    slope += v.dot(Md);
-    square += 0.5 * d.dot(Md);
+    const VecX v = from.segment(first, n), d = to.segment(first, n) - v;
+    start += 0.5 * problem.M.product(b, v, v);
+    slope += problem.M.product(b, v, d);
+    square += 0.5 * problem.M.product(b, d, d);
   }
   if (start + slope + square <= bound || !(square > 0.0)) return 1.0;
   return largest_share(slope, square, std::max(0.0, bound - start));
@@ -25,7 +25,7 @@ double curvature_error(const BlockProblem& problem, const VecX& change, const Ve
   for (int b = 0; b < problem.blocks(); ++b) {
     const int n = problem.size(b), first = problem.start[b];
     const VecX d = change.segment(first, n);
-    error += std::abs(d.dot(problem.M[b] * (d - last.segment(first, n))));
+    error += std::abs(problem.M.product(b, d, d - last.segment(first, n)));
   }
   return 0.5 * error;
 }

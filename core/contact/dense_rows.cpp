@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "base/error.hpp"
-#include "cone/inverse_cholesky.hpp"
 #include "model/point_jacobian.hpp"
 
 namespace contactvi {
@@ -21,11 +20,8 @@ DenseRows::DenseRows(const Scene& scene) : scene_(&scene), body_rows_(MatX::Zero
     problem_.start.back() = joint.iv + joint.nv;
   }
   int largest = 0;
-  for (int b = 0; b < problem_.blocks(); ++b) {
-    largest = std::max(largest, problem_.size(b));
-    problem_.M.emplace_back(problem_.size(b), problem_.size(b));
-    problem_.inverse.emplace_back(problem_.size(b), problem_.size(b));
-  }
+  for (int b = 0; b < problem_.blocks(); ++b) largest = std::max(largest, problem_.size(b));
+  problem_.M.resize(problem_.blocks());
   inverse_.resize(tree.nv, largest);
   problem_.v_free.setZero(tree.nv);
 }
@@ -36,12 +32,11 @@ void DenseRows::set_unit_columns() {
     for (int d = 0; d < problem_.size(b); ++d) inverse_(problem_.start[b] + d, d) = 1.0;
 }
 
-void DenseRows::invert() {
+void DenseRows::take_inverse() {
   for (int b = 0; b < problem_.blocks(); ++b) {
     const int n = problem_.size(b);
     const auto inverse = inverse_.block(problem_.start[b], 0, n, n);
-    problem_.inverse[b] = 0.5 * (inverse + inverse.transpose());
-    invert_positive(problem_.inverse[b], problem_.M[b]);
+    problem_.M.set_inverse(b, 0.5 * (inverse + inverse.transpose()));
   }
 }
 
@@ -136,7 +131,7 @@ double DenseRows::mobility(std::size_t k) const {
     if (block < 0) continue;
     const int n = problem_.size(block);
     const Eigen::Map<const VecX> row(w, n);
-    sum += row.dot(problem_.inverse[block] * row);
+    sum += row.dot(problem_.M.inverse(block) * row);
     w = problem_.W.data() + c.column + c.rows * n;
   }
   return sum;

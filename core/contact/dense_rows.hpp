@@ -18,7 +18,7 @@ class DenseRows {
   void set_masses(Solve solve) {
     set_unit_columns();
     solve(inverse_);
-    invert();
+    take_inverse();
   }
   // The rows of the contacts `active`, at the end of the step or its start, where the bodies are placed, and of joint
   // friction with the bound of one of the two impulses of a step of length h. Offsets become zero.
@@ -40,7 +40,7 @@ class DenseRows {
 
  private:
   void set_unit_columns();
-  void invert();
+  void take_inverse();
   BlockContact& add_block(int a, int b, int rows);
   void add_contact(const DenseContact& c, bool at_end, const Placements& at);
   void add_rows(int column, int block, int body, const Vec3& x, const Vec3* directions, int rows, double sign,

@@ -117,6 +117,9 @@ bool DenseStep::iterate_stage() {
     const double size = 1.0 + v_.cwiseAbs().maxCoeff();
     if (change <= kStageRounding * size) return true;
     if (change > 0.5 * last && change <= kStageStalled * size) return true;
+    // What the next iterations would change, at the rate of these or of the last ones in this step.
+    if (k > 0) contraction_ = change / last;
+    if (contraction_ < 0.5 && change * contraction_ / (1.0 - contraction_) <= kStageRounding * size) return true;
     last = change;
   }
   return fail("the smooth equation of a dense step was not solved");
@@ -182,6 +185,7 @@ bool DenseStep::solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, con
   lambda_.resize(0);
   start_.mu.setZero();
   end_.mu.setZero();
+  contraction_ = 1.0;
   const auto take_masses = [this] {
     rows_.set_masses([this](MatX& X) { integrator_.solve_step_matrix(X); });
     solver_.set_equations(rows_.problem(), start_.W);

@@ -39,12 +39,12 @@ bool Simulator::allows_dense_steps() const {
 
 // What locating events has cost so far [us].
 double Simulator::located_cost() const {
-  return contact_step_.counters.cost + guards_.counters.cost + costs::impact() * static_cast<double>(state_.impacts);
+  return contact_step_.counters.cost + guards_.counters.cost + costs_.impact() * static_cast<double>(state_.impacts);
 }
 
 // Whether contacts with so many rows and points are worth steps with events, if nothing happens to them.
 bool Simulator::locating_pays(int rows, int points) const {
-  return !allows_dense_steps() || costs::quiet_contact_step(rows) <= kQuietDearer * dense_cost_.step(points);
+  return !allows_dense_steps() || costs_.quiet_contact_step(rows) <= kQuietDearer * costs_.dense_step(points);
 }
 
 // The points of contact of the present instant.
@@ -54,7 +54,7 @@ double Simulator::points_now() const {
 
 // What locating events may cost in an interval of this length [us].
 double Simulator::allowed_cost(double length) const {
-  return kDearer * length / std::min(contact_dt(), kCounted) * dense_cost_.step(points_now());
+  return kDearer * length / std::min(contact_dt(), kCounted) * costs_.dense_step(points_now());
 }
 
 // Whether it has cost more than dense steps by far.

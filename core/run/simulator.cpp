@@ -36,7 +36,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds()),
       dense_step_(scene, guards_, options.tol),
-      dense_cost_(scene.tree),
+      costs_(scene.tree),
       sequence_(scene, integrator_, guards_,
                 {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step,
                  options.record_contacts, options.gradient}),

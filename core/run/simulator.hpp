@@ -249,7 +249,7 @@ class Simulator {
   EventFinder finder_;
   ContactStep contact_step_;
   DenseStep dense_step_;
-  costs::Dense dense_cost_;
+  costs::Steps costs_;
   ImpactSequence sequence_;
   StepPath path_, contact_path_;
   Actuation actuation_;
