@@ -24,8 +24,8 @@ struct BlockContact {
   double mu = 0.0, lower = 0.0, box = 0.0;  // box > 0: joint friction
 };
 
-// The masses of the blocks, symmetric positive definite [kg; kg m; kg m^2], and their inverses C C^T. Masses and factors
-// are made of the inverses when they are first asked for: many problems are solved without.
+// The masses of the blocks, symmetric positive definite [kg; kg m; kg m^2], and their inverses C C^T. Masses and
+// factors are made of the inverses when they are first asked for: many problems are solved without.
 class BlockMasses {
  public:
   int count() const { return static_cast<int>(blocks_.size()); }
@@ -50,7 +50,7 @@ class BlockMasses {
 };
 
 struct BlockProblem {
-  std::vector<int> start;              // (blocks + 1,): first degree of freedom of each block; the last one is nv
+  std::vector<int> start;  // (blocks + 1,): first degree of freedom of each block; the last one is nv
   BlockMasses M;
   std::vector<BlockContact> contacts;  // their rows follow each other without gaps
   std::vector<double> W;               // coefficients of the rows, row after row (BlockContact::column)

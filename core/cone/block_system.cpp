@@ -117,7 +117,8 @@ bool BlockSystem::prepare(const BlockProblem& problem) {
       for (int r = 0; r < p.rows; ++r, column += n) {
         if (n == 6)
           SixMap(&response_[column]).noalias() =
-              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(problem.M.inverse(block).data()) * SixCMap(&problem.W[column]);
+              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(problem.M.inverse(block).data()) *
+              SixCMap(&problem.W[column]);
         else
           AnyMap(&response_[column], n).noalias() = problem.M.inverse(block) * AnyCMap(&problem.W[column], n);
       }

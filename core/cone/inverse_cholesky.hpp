@@ -1,5 +1,5 @@
-// Inverses of small positive definite matrices, by their Cholesky factors. Eigen's triangular solvers are made for large
-// ones.
+// Inverses of small positive definite matrices, by their Cholesky factors. Eigen's triangular solvers are made for
+// large ones.
 #pragma once
 
 #include <Eigen/Core>
@@ -69,7 +69,8 @@ inline bool invert_positive(const MatX& A, MatX& inverse) {
     return positive;
   };
   inverse.resize(A.rows(), A.cols());
-  return A.rows() == 6 ? invert(std::integral_constant<int, 6>()) : invert(std::integral_constant<int, Eigen::Dynamic>());
+  return A.rows() == 6 ? invert(std::integral_constant<int, 6>())
+                       : invert(std::integral_constant<int, Eigen::Dynamic>());
 }
 
 }  // namespace contactvi

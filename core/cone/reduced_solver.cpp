@@ -314,7 +314,8 @@ BlockResult ReducedSolver::solve(const BlockProblem& problem, double bound, cons
   if (!reduces_) return solver_.solve(problem, bound, options, lambda, v);
   begin(problem, lambda, problem.v_free);
   reduced_.v_free = u_;
-  const BlockResult result = solver_.solve(reduced_, std::isfinite(bound) ? bound - held_energy(problem) : bound, options, lambda_, u_);
+  const BlockResult result =
+      solver_.solve(reduced_, std::isfinite(bound) ? bound - held_energy(problem) : bound, options, lambda_, u_);
   finish(problem, lambda, v);
   return result;
 }

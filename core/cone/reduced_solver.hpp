@@ -4,8 +4,8 @@
 //
 // Equations, W_e^T v = W_e^T v_free for multipliers of their own, leave a basis of velocities, W_e^T S = 0, per group
 // of blocks that they join. They may be redundant. Of a large block on which few rows act, as of a robot on its feet,
-// the velocities that these do not reach are held as well: S is then a basis of M^-1 W with S^T M S = 1, and the problem
-// is no larger than its rows. Where neither is so it is the BlockSolver itself.
+// the velocities that these do not reach are held as well: S is then a basis of M^-1 W with S^T M S = 1, and the
+// problem is no larger than its rows. Where neither is so it is the BlockSolver itself.
 #pragma once
 
 #include <Eigen/Cholesky>

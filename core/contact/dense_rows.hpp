@@ -49,7 +49,7 @@ class DenseRows {
   const Scene* scene_;
   BlockProblem problem_;
   std::vector<int> tree_of_joint_;
-  MatX inverse_;  // (nv, largest block): the inverse masses, block under block
+  MatX inverse_;    // (nv, largest block): the inverse masses, block under block
   MatX body_rows_;  // (nv, 3)
   int rows_ = 0, columns_ = 0;
 };

@@ -28,6 +28,7 @@ constexpr double kFastFall = 4.0;          // contacts that close faster than th
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
+constexpr double kToAnOrder = 10.0;        // times the change of the acceleration: an estimate of the same order
 constexpr double kBothEnds = 2.0;          // the force of a contact acts half at the start of the step, half at its end
 constexpr double kLifted = 1e-7;  // of the kinetic energy: what an impact moves gaps by within their rounding is less
 // Of what servos, inputs and dampers exchange in a step: stiff ones change the velocities at its ends, where impulses
@@ -474,9 +475,10 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
     impact |= c.position[0] > 0.0 && c.closing < -fast;
   }
   const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);
-  const double curved = impact || memory_.change.size() != v_.size()
-                            ? 0.0
-                            : curvature_error(rows_.problem(), 2.0 * (v_ - v0_), memory_.change * (h_ / memory_.h));
+  const double curved =
+      impact || memory_.change.size() != v_.size()
+          ? 0.0
+          : kToAnOrder * curvature_error(rows_.problem(), 2.0 * (v_ - v0_), memory_.change * (h_ / memory_.h));
   // As far as the impulses are those of the forces so far and of the motion.
   double forces = 0.0;
   for (const Joint& joint : scene_->tree.joints) forces += joint.mass * scene_->tree.gravity.norm();

@@ -161,7 +161,7 @@ class DenseStep {
   Kept kept_ = Kept::kGaps;
   std::unique_ptr<DenseRecorder> recorder_;
   double closeness_,
-      gap_solved_;  // share of what is usually left, at most 1; gaps of loaded contacts that count as zero
+      gap_solved_;            // share of what is usually left, at most 1; gaps of loaded contacts that count as zero
   double contraction_ = 1.0;  // of the iterations on the smooth equation
   double t_ = 0.0, h_ = 0.0, nominal_h_ = 0.0, joint_friction_loss_ = 0.0;
   int violated_constraint_ = -1;

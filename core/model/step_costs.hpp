@@ -1,7 +1,7 @@
 // What steps with contacts cost, by counts and sizes: the same on every machine, so that what is decided by it is, too.
 //
-// The numbers are microseconds, to a factor of two: fits to what such steps took in stacks, heaps, a hand, quadrupeds and
-// humanoids on the machine of docs/benchmarks.md. Only their ratios matter.
+// The numbers are microseconds, to a factor of two: fits to what such steps took in stacks, heaps, a hand, quadrupeds
+// and humanoids on the machine of docs/benchmarks.md. Only their ratios matter.
 #pragma once
 
 #include "model/tree.hpp"
