@@ -125,6 +125,7 @@ class DenseStep {
   double take_reactions();
   bool constraints_met();
   VecX momentum(const VecX& v) const;
+  VecX multipliers(const VecX& dv, const VecX& lambda) const;
   void bound_velocities();
   bool position_impulses();
   bool position_problem();

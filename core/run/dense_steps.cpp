@@ -32,9 +32,7 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
-  // Dense steps with constraints have no derivative yet.
-  const bool recordable = !options_.gradient || scene_->tree.elements.constraint_rows == 0;
-  return options_.contact_steps != ContactSteps::kEvents && recordable && allows_persistent_contact();
+  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact();
 }
 
 // What locating events has cost so far [us].
