@@ -171,7 +171,9 @@ void DenseStep::close_rates(VecX& p) {
   integrator_.place_node(q1_);
   integrator_.solve_masses(X);
   integrator_.solve_mass(work_);
-  end_.mu = (end_.W.transpose() * X).completeOrthogonalDecomposition().solve(-end_.W.transpose() * work_ - end_.rate);
+  reduction_.set(end_.W.transpose() * X, static_cast<int>(end_.mu.size()));
+  reduction_.right_side(end_.W.transpose() * work_ + end_.rate);
+  reduction_.complete(VecX(), end_.mu);
   p += end_.W * end_.mu;
 }
 

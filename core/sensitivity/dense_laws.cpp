@@ -97,7 +97,13 @@ void DenseLaws::take_gaps(const DenseStepRecord& step, const VecX& lambda, const
   for (std::size_t i = 0; i < step.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = step.contacts[i];
     Contact law{Normal::kOpen, Friction::kNone, c.row, c.mu, Eigen::Vector2d::Zero(), 0.0};
-    if (lambda[c.row] > 0.0) law.normal = gaps[i] > step.gap_solved ? Normal::kBound : Normal::kClosed;
+    if (lambda[c.row] > 0.0) {
+      // A gap that is open: friction holds its normal impulse, unless what that has above friction moves it further.
+      // Then the gap is what rounding has left.
+      const double held = c.mu > 0.0 ? lambda.segment<2>(c.row + 1).norm() / c.mu : 0.0;
+      const double lift = (lambda[c.row] - held) * rows(c.row, c.row) * step.h;
+      law.normal = gaps[i] > step.gap_solved && lift < gaps[i] ? Normal::kBound : Normal::kClosed;
+    }
     if (law.normal != Normal::kOpen && c.mu > 0.0) law.friction = Friction::kGiven;
     contacts_.push_back(law);
   }

@@ -58,7 +58,7 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   for (std::size_t k = 0; k < step.rounds.size(); ++k) take_round(k, tau, servo);
   take_end();
   if (step.repaired > 0) approximate("an answer that was repaired or blended");
-  if (step.keeps_energy) approximate("gaps that are left for the sake of the energy");
+  if (step.keeps_energy && !step.contacts.empty()) approximate("gaps that are left for the sake of the energy");
   if (error_ > kLaw) approximate("impulses that do not satisfy the law of contact");
   if (margin_ < kOnCone) approximate("a contact between two of open, sticking and slipping");
 }
