@@ -6,6 +6,11 @@
 
 namespace contactvi {
 
+namespace {
+// Of a momentum: where the masses of a step's law change by less within it they count as one matrix.
+constexpr double kOneMatrix = 1e-7;
+}  // namespace
+
 void DenseStepTangent::set_start_rows(const VecX& dq0) {
   const DenseStepRecord& s = *record_;
   dW0_.setZero();
@@ -162,6 +167,7 @@ void DenseStepTangent::matrix_change(const Round& round, const DenseStepDirectio
            round.mass_effect.middleCols(2 * n, n) * places_[0].v + round.mass_effect.col(3 * n) * d.h;
   if (d.parameters == nullptr) return;
   const StepParameters& p = *d.parameters;
+  const VecX others = change;
   free_.add_momentum(q_stage_, u, p, change);
   change += 0.5 * h * (p.damping + p.kd).cwiseProduct(u) + 0.25 * h * h * p.kp.cwiseProduct(u);
   for (std::size_t k = 0; k < scene_->tree.joints.size(); ++k) {
@@ -169,6 +175,10 @@ void DenseStepTangent::matrix_change(const Round& round, const DenseStepDirectio
     change.segment(joint.iv, joint.nv) +=
         0.25 * h * h * p.stiffness[static_cast<Eigen::Index>(k)] * u.segment(joint.iv, joint.nv);
   }
+  // That is the change of one matrix. The factor of D is made at one configuration and applied at another one.
+  const VecX turned = round.mass_effect.middleCols(2 * n, n) * (record_->places[0].v - v0_);
+  if (change != others && turned.norm() > kOneMatrix * (record_->D * u).norm())
+    approximate("parameters of inertias and joints in masses that change within the step");
 }
 
 double DenseStepTangent::allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const {

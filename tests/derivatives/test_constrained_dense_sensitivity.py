@@ -22,6 +22,7 @@ from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 BAR = 1e-7
 DENSE = {"contact_mode": "steps", "tol": 1e-15}
 HELD = "gaps that are left for the sake of the energy"
+MASSES = "parameters of inertias and joints in masses that change within the step"
 
 # name -> start, duration, dt
 LANDINGS = {
@@ -40,7 +41,7 @@ LANDINGS = {
     "a finger whose joint follows another slips": (lambda: scenes.following_finger(0.0, 0.1), 0.4, 0.01),
     "a finger whose joint follows another sticks": (lambda: scenes.following_finger(0.0, 1.5), 0.4, 0.01),
     "a finger whose joint follows another bounces": (lambda: scenes.following_finger(0.5, 0.1), 0.4, 0.01),
-    "a finger with joint friction": (lambda: scenes.following_finger(0.0, 0.1, 1.0), 0.4, 0.01),
+    "a finger with joint friction": (lambda: scenes.following_finger(0.0, 0.1, 1.0), 0.25, 0.01),
     "balls on a lift": (lambda: scenes.balls_on_a_lift(0.5, 0.1), 0.1, 0.02),
     "a linkage strikes a ball and stays with it": (lambda: scenes.striker(0.0, 0.0), 0.42, 0.01),
     "balls on a rod drop": (lambda: scenes.joined_balls(0.1, "distance"), 0.3, 0.01),
@@ -70,17 +71,18 @@ def wrt_of(scene: cvi.Scene) -> list[str]:
     return names + (["restitution"] if scene.pair_restitution.max(initial=0.0) > 0.0 else [])
 
 
+@pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning")
 @pytest.mark.parametrize("name", SMOOTH)
 def test_constraints_alone(name):
     options = {"duration": 0.05 if "joint friction" in name else 0.1, "dt": 0.01}
-    with pytest.warns(cvi.AccuracyWarning) if "joint friction" in name else nullcontext():
-        traj, start = recorded(SMOOTH[name](), **options)
-        assert len(traj.dense_steps) > 0
-        assert not traj.sensitivity().report.approximate
-        compare(traj, start, (2e-4, 1e-4), **options)
+    traj, start = recorded(SMOOTH[name](), **options)
+    assert len(traj.dense_steps) > 0
+    assert not traj.sensitivity().report.approximate
+    compare(traj, start, (2e-4, 1e-4), **options)
     assert transpose_error(traj, wrt_of(start[0])) <= 1e-11
 
 
+@pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning", "ignore::contactvi.ApproximateDerivativeWarning")
 @pytest.mark.parametrize("name", LANDINGS)
 def test_runs_with_contacts(name):
     start, duration, dt = LANDINGS[name]
@@ -88,7 +90,7 @@ def test_runs_with_contacts(name):
     assert len(traj.dense_steps) > 0
     reasons = {step.reason for step in traj.sensitivity().report.dense_steps if step.reason}
     assert reasons <= ({HELD} if "with joint friction" in name else set())
-    compare(traj, start, (2e-5, 1e-5), duration=duration, dt=dt)
+    compare(traj, start, (1e-5, 5e-6), duration=duration, dt=dt)
     assert transpose_error(traj, wrt_of(start[0])) <= 1e-11
 
 
@@ -109,17 +111,16 @@ def test_a_step_without_contacts_is_that_of_located_events(name):
 
 
 def test_a_pinned_and_driven_chain_is_that_of_located_events():
-    """From a time that is not zero, with a motion whose speed changes."""
+    """With a motion whose speed changes."""
     scene = pinned_chain(CHAIN)
-    q = scene.assemble(np.array(CHAIN["q0"]), t=CHAIN["t"])
-    v = scene.consistent_velocity(q, np.array([0.1, -0.5, 0.7, 0.3]), t=CHAIN["t"])
-    q, v = scenes.on_constraints(scene, q, v, CHAIN["t"])
+    q = scene.assemble(np.array(CHAIN["q0"]))
+    q, v = scenes.on_constraints(scene, q, scene.consistent_velocity(q, np.array([0.1, -0.5, 0.7, 0.3])))
     runs = [
-        cvi.simulate(scene, q, v, duration=0.05, dt=0.01, t0=CHAIN["t"], record="gradient", contact_mode=mode)
+        cvi.simulate(scene, q, v, duration=0.02, dt=5e-3, record="gradient", contact_mode=mode)
         for mode in ("events", "steps")
     ]
     events, steps = (run.sensitivity(["q0", "v0", "control"]).matrix[-1] for run in runs)
-    assert len(runs[1].dense_steps) == 5
+    assert len(runs[1].dense_steps) == 4
     assert np.abs(steps - events).max() <= 1e-10 * np.abs(events).max()
 
 
@@ -154,7 +155,10 @@ def test_inputs_friction_and_restitution_are_parameters(name):
 
 @pytest.mark.parametrize(("e", "mu", "duration"), DROPS)
 def test_parameters_of_the_scene(e, mu, duration):
-    """A linked arm drops on the ground: the impulses depend on inertias through the constraint too."""
+    """A linked arm drops on the ground: the impulses depend on inertias through the constraint too.
+
+    With friction the derivatives in inertias, which change the masses of the law, are good to 1e-6, and said to be so.
+    """
     scene_of = sprung_arm(restitution=e, friction=mu, linked=True)
     x = np.array(SPRUNG_ARM)
     scene = scene_of(x)
@@ -163,8 +167,12 @@ def test_parameters_of_the_scene(e, mu, duration):
     options = {"duration": duration, "dt": 0.005, "target": [0.3], **DENSE}
     traj = cvi.simulate(scene, q, v, record="gradient", **options)
     assert len(traj.contacts) > 0
-    compare_parameters(traj, lambda x: cvi.simulate(scene_of(x), q, v, **options), x, NAMES, COLUMNS)
-    assert transpose_error(traj, [*NAMES, "q0", "v0"]) <= 1e-11
+    reasons = {step.reason for step in traj.sensitivity(NAMES).report.dense_steps if step.reason}
+    assert reasons == ({MASSES} if mu > 0.0 else set())
+    bar = 1e-6 if mu > 0.0 else BAR
+    compare_parameters(traj, lambda x: cvi.simulate(scene_of(x), q, v, **options), x, NAMES, COLUMNS, bar)
+    with pytest.warns(cvi.ApproximateDerivativeWarning, match=MASSES) if mu > 0.0 else nullcontext():
+        assert transpose_error(traj, [*NAMES, "q0", "v0"]) <= 1e-11
 
 
 @pytest.mark.filterwarnings("ignore::contactvi.DenseStepWarning")
@@ -204,11 +212,11 @@ def test_a_ball_that_rests_on_a_lift_goes_with_it():
     """Its height is that of the lift, whatever pushes it; along the plate it is free."""
     scene, q, v = scenes.balls_on_a_lift(0.0, 0.0)
     q[[3, 10]] = 0.06
+    v[1:] = 0.0
     v[[3, 9]] = 0.27
-    v[[4, 5, 6, 10, 11, 12]] = 0.0
     traj, _ = recorded((scene, q, v), 0.1, 0.01)
     S = traj.sensitivity(["q0", "v0"]).matrix[-1]
-    nv, x, z = scene.nv, [1, 7], [3, 9]
+    nv, x, z = scene.nv, [1, 7], [3, 9]  # in q and, of bodies that do not turn, in v
     assert np.abs(traj.q[:, [3, 10]] - 0.06 - 0.03 * np.sin(9 * traj.t)[:, None]).max() <= 1e-12
     assert np.abs(S[[*z, *(k + nv for k in z)]]).max() <= 1e-11
     assert np.abs(S[x][:, x] - np.eye(2)).max() <= 1e-11
@@ -216,7 +224,7 @@ def test_a_ball_that_rests_on_a_lift_goes_with_it():
 
 
 def test_a_file_keeps_what_the_derivatives_need(tmp_path):
-    traj, _ = recorded(scenes.gripper(0.3), 0.1, 5e-3)
+    traj, _ = recorded(scenes.five_bar_leg(0.5, 0.3), 0.1, 5e-3)
     again = cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))
     assert np.array_equal(again.sensitivity().matrix, traj.sensitivity().matrix)
 
