@@ -195,13 +195,17 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
 // What the laws leave open must have no effect. Where it has, the solver's way decides about the motion.
 void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) {
   const MatX& free = laws.free();
-  if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
+  if (free.cols() > 0 && (effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())
+    refuse_shared("The motion depends on how contact points share their load",
+                  "points that turn while they slip, or land together", "Use fewer points (contact_points=3)");
+}
+
+void DenseStepTangent::refuse_shared(const char* fact, const char* got, const char* remedy) {
   approximate("points whose shares of a load decide about the motion");
   if (take_branch_) return;
-  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
-         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
-         "points that turn while they slip, or land together",
-         "Use fewer points (contact_points=3), or on_kink='taken' for the derivative with impulses of least norm");
+  const std::string other = ", or on_kink='taken' for the derivative with impulses of least norm";
+  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard, fact,
+         "a motion that the laws of contact determine", got, (remedy + other).c_str());
 }
 
 // Friction is found by the law and stays in the gap iterations, where it bounds normal impulses: how points share it
@@ -256,7 +260,33 @@ void DenseStepTangent::take_end() {
   expansion_.laws.take_law(s, s.expansion, speeds(s.v_expansion), G_, low, box, scale_);
   note(expansion_.laws);
   check_shared(expansion_.laws, MinvW_);
+  check_expansion();
   if (s.expanded < 1.0) take_energy();
+}
+
+// Restitution depends on the normal impulses themselves, also where the motion before it does not.
+void DenseStepTangent::check_expansion() {
+  const DenseStepRecord& s = *record_;
+  const Round& last = rounds_[s.rounds.size() - 1];
+  const double all = MinvW_.cwiseAbs().maxCoeff();
+  const auto check = [&](const VecX& lambda, bool at_end) {
+    VecX known = VecX::Zero(rows_);
+    for (const DenseStepRecord::Contact& c : s.contacts)
+      if (c.expands) known[c.row] = c.restitution * lambda[c.row];
+    for (std::size_t j = 0; at_end && j < s.joints.size(); ++j)
+      known[s.row_of(j)] = -std::copysign(1.0, s.plastic[s.row_of(j)]) * lambda[s.row_of(j)];
+    if ((MinvW_ * expansion_.laws.from_known(known)).cwiseAbs().maxCoeff() > kShared * all)
+      refuse_shared("Restitution depends on how an impulse is shared",
+                    "points that land together, or friction of a mechanism with one motion",
+                    "Use fewer points (contact_points=3), no friction or no restitution");
+  };
+  for (Eigen::Index k = 0; k < plastic_.laws.free().cols(); ++k) check(plastic_.laws.free().col(k), true);
+  for (Eigen::Index k = 0; k < last.gaps.free().cols(); ++k) check(last.gaps.free().col(k), false);
+  for (Eigen::Index k = 0; has_friction_ && k < last.law.free().cols(); ++k) {
+    VecX known = last.law.free().col(k);
+    low_changes(last, VecX(), known);
+    check(last.gaps.from_known(known), false);
+  }
 }
 
 // An expansion that was cut keeps the energy of the start.

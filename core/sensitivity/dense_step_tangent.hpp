@@ -107,7 +107,9 @@ class DenseStepTangent {
   void take_end();
   void take_energy();
   void check_shared(const DenseLaws& laws, const MatX& effect);
+  void refuse_shared(const char* fact, const char* got, const char* remedy);
   void check_round(const Round& round);
+  void check_expansion();
   void set_start_rows(const VecX& dq0);
   void add_found_rows(int place, const VecX& dq);
   void set_law_change(std::size_t contact, const Contact& at, const VecX& dq);

@@ -246,6 +246,30 @@ def test_check_gradient_brings_starts_back():
     assert sum(column.believe == "both" for column in found.columns) >= 4
 
 
+@pytest.mark.parametrize("mu", [0.3, 1.0])
+def test_restitution_of_a_friction_that_constraints_make_indefinite_is_refused(mu):
+    """A linkage of one degree of freedom at a stop: how its impulse splits into pressure and friction is open."""
+    scene, q, v = scenes.linkage_at_stop(0.5)
+    scene.set_contact(restitution=0.5, friction=mu)
+    traj, _ = recorded((scene, q, v), 0.55, 0.01)
+    nv = scene.nv
+    for ask in (traj.sensitivity, lambda: cvi.gradient(traj, (np.ones(nv), np.ones(nv)))):
+        with pytest.raises(cvi.NotDifferentiable, match="Restitution depends") as found:
+            ask()
+        assert found.value.reason == "redundant"
+    assert traj.sensitivity(on_kink="taken").report.approximate
+
+
+def test_a_linkage_that_rests_at_a_stop_has_no_derivative_but_zero():
+    """Without restitution that split has no effect: whatever the start, it comes to rest there."""
+    scene, q, v = scenes.linkage_at_stop(0.0)
+    scene.set_contact(restitution=0.0, friction=0.3)
+    traj, _ = recorded((scene, q, v), 0.6, 0.01)
+    S = traj.sensitivity(["q0", "v0"])
+    assert not S.report.approximate
+    assert np.abs(S.matrix[-1]).max() <= 1e-7
+
+
 def test_a_body_whose_pose_is_prescribed_has_no_derivative():
     scene = cvi.Scene()
     tray = scene.add_box("tray", (1.0, 1.0, 0.02), mass=1.0)
