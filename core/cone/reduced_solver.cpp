@@ -12,8 +12,8 @@ constexpr double kRedundant = 1e-10;  // of the rows of equations, scaled to one
 // Of the longest row of a group: shorter ones are not scaled to one. A planar loop on a body that hardly tilts has a row
 // across its plane that is almost zero, and depends on the others but for rounding.
 constexpr double kShort = 1e-2;
-constexpr double kStill = 1e-11;      // of the speeds: slower is at rest
-constexpr double kIdle = 1e-10;       // of a row of a contact: what equations leave of it is rounding
+constexpr double kStill = 1e-11;  // of the speeds: slower is at rest
+constexpr double kIdle = 1e-10;   // of a row of a contact: what equations leave of it is rounding
 // A block of more degrees of freedom, on which less than this share of them in rows acts, is reduced: a smaller one
 // costs less as it is.
 constexpr Eigen::Index kSmall = 24;

@@ -298,8 +298,8 @@ bool DenseStepAdjoint::pass_free(StepParameters& sums) {
   VecX p = s.p0, lp_start;
   if (m > 0) {
     p += s.W0.leftCols(m) * place.lambda.head(m);
-    const VecX lmu = free.lambda.head(m) + t.free_constraints_.Q.transpose() * free.q +
-                     t.free_constraints_.V.transpose() * free.v;
+    const VecX lmu =
+        free.lambda.head(m) + t.free_constraints_.Q.transpose() * free.q + t.free_constraints_.V.transpose() * free.v;
     const VecX lbase = t.free_constraints_.system.solve_transposed(lmu);
     free.q += place.W.leftCols(m) * lbase / s.h;
     pass_end_times(lbase);

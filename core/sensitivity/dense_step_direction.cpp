@@ -294,8 +294,8 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
     base = dW0_.transpose() * r.v + s.W0.transpose() * dv;
     base += extra_gaps(about) / s.h;
     if (constraints_ > 0)
-      base.head(constraints_) -= dW0_.leftCols(constraints_).transpose() * from_v +
-                                 s.W0.leftCols(constraints_).transpose() * from_change.v;
+      base.head(constraints_) -=
+          dW0_.leftCols(constraints_).transpose() * from_v + s.W0.leftCols(constraints_).transpose() * from_change.v;
     bool lasting = false;
     for (char c : r.lasting) lasting |= c != 0;
     if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, dslip);
