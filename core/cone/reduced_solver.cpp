@@ -8,9 +8,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kRedundant = 1e-10;  // of the rows of equations, scaled to one: less is rounding
-// Of the longest row of a group: shorter ones are not scaled to one. A planar loop on a body that hardly tilts has a row
-// across its plane that is almost zero, and depends on the others but for rounding.
+constexpr double kRedundant = 1e-10;  // of the rows of equations, scaled: less is rounding
+// Of the longest row of a group: shorter ones are not scaled to one. A planar loop on a body that hardly tilts has a
+// row across its plane that is almost zero, and depends on the others but for rounding.
 constexpr double kShort = 1e-2;
 constexpr double kStill = 1e-11;  // of the speeds: slower is at rest
 constexpr double kIdle = 1e-10;   // of a row of a contact: what equations leave of it is rounding

@@ -20,7 +20,8 @@ class DenseRecorder {
                   const VecX& mu);
   // `lasting`: contacts of the pass whose slip is the mean of both ends.
   void set_lasting(const std::vector<int>& lasting);
-  // The law was solved, with mu from the velocities that it started from; and then the gap iterations, which ended at q.
+  // The law was solved, with mu from the velocities that it started from; and then the gap iterations, which ended at
+  // q.
   void take_law(const VecX& lambda, const VecX& mu, const VecX& v);
   void take_round(const std::vector<DenseContact>& contacts, const VecX& q, const VecX& v, const VecX& lambda,
                   const VecX& mu);
