@@ -79,6 +79,8 @@ void Simulator::begin_dense_phase() {
   if (state_.dense.active) return;
   state_.dense.begin();
   dense_step_.restart();
+  // A joint that sticks may move in dense steps, and stick elsewhere.
+  for (auto& joint : contact_step_.friction_joints()) joint.anchored = false;
   guards_.forget_distances();
   integrator_.forget();
 }

@@ -186,6 +186,45 @@ def test_steps_whose_start_moves(e, mu):
     assert transpose_error(traj, ["q0", "v0", "control"]) <= 1e-11
 
 
+@pytest.mark.filterwarnings("ignore::contactvi.DenseStepWarning")
+def test_a_joint_that_moves_in_dense_steps_sticks_where_it_has_come_to():
+    """A slide with friction is pushed once while balls that land bring dense steps on, between located events.
+
+    With dense=True all bodies are one island, as with record="gradient".
+    """
+    model = pin.Model()
+    slide = model.addJoint(0, pin.JointModelPX(), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])), "slide")
+    model.appendBodyToJoint(slide, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    scene = cvi.Scene.from_pinocchio(model, name="slide")
+    scene.set_joint("slide", friction=20.0)
+    scene.add_halfspace()
+    for k in range(3):
+        scene.add_sphere(f"ball_{k}", 0.05, mass=0.3)
+    scene.set_contact(restitution=0.0, friction=0.1)
+    q = pin.neutral(scene.model)
+    q[1:4], q[8:11], q[15:18] = [0, 0, 0.055], [0.3, 0.1, 0.0555], [-0.3, 0.1, 0.06088]
+    push = np.zeros((20, scene.nv))
+    push[4, 0] = 25.0  # of it (25 N - 20 N) / 1 kg for 0.01 s are left, and 20 N against the slide after that
+    options = {"contact_mode": "auto", "max_impacts_per_step": 1, "control": push}
+    traj, (_, _, v) = recorded((scene, q, np.zeros(scene.nv)), 0.2, 0.01, **options)
+    assert list(traj.phases["kind"]) == ["persistent", "dense", "persistent"]
+    np.testing.assert_allclose(traj.v[5, 0], 0.05, atol=1e-9)
+    last = int(traj.phases["t"][2] / 0.01 + 0.5)
+    assert last >= 7
+    np.testing.assert_allclose(traj.q[7:, 0], traj.q[7, 0], atol=1e-15)
+    assert traj.q[7, 0] > 2e-4
+    S = traj.sensitivity(["control"]).matrix[-1]
+    ends = []
+    for sign in (1, -1):
+        pushed = push + sign * 1e-3 * np.eye(scene.nv)[0] * (np.arange(20)[:, None] == 4)
+        run = cvi.simulate(scene, q, v, duration=0.2, dt=0.01, dense=True, **{**DENSE, **options, "control": pushed})
+        ends.append(run.q[-1, 0])
+    _, gradient = cvi.gradient(traj, (np.eye(scene.nv)[0] * (np.arange(21)[:, None] == 20), 0.0 * traj.v), ["control"])
+    assert gradient["control"][4, 0] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-7)
+    assert S[0, 0] == pytest.approx(gradient["control"][:, 0].sum(), rel=1e-11)
+
+
 def test_columns_off_the_constraints_are_those_of_the_run():
     """A run accepts starts that are 1e-8 off, and its steps bring them back: along these, too, S is its derivative."""
     traj, (scene, q, v) = recorded(scenes.driven_arm_at_wall(0.0, 0.1), 0.35, 0.01)
