@@ -120,8 +120,8 @@ class Options:
             would end the run, and where many points persist, steps are dense: impacts lie inside of them, without times
             (contactvi.records.dense_steps says how exactly their law holds). "events": never a dense step; where
             events accumulate the run is slow or ends with a status. "steps": dense steps alone, which makes the run a
-            time-stepping simulation to compare with. With "dtec", zeno="end" and, for derivatives, in
-            scenes with constraints no dense step is taken; there and with dt="auto" "steps" is refused.
+            time-stepping simulation to compare with. With "dtec" and zeno="end" no dense step is
+            taken; there and with dt="auto" "steps" is refused.
         record: "states", or "gradient": also what the derivatives of the run need (Trajectory.sensitivity), the
             polynomials of the steps and the inputs. Steps of one length only; what has no derivative is refused before
             the run where it is known then. Of a Simulator also False: nothing but the present state and its last step,

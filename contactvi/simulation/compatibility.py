@@ -93,14 +93,6 @@ def check_elements(compiled: CompiledScene, options: Options) -> None:
 
     Potentials and the damping of joints do not.
     """
-    if options.contact_mode == "steps" and compiled.constraint_rows and options.record == "gradient":
-        raise InputError(
-            "Dense steps with constraints have no derivative",
-            name="contact_mode",
-            expected="'auto' or 'events' for the derivative of a scene with constraints",
-            got="'steps'",
-            remedy="Leave contact_mode out, or take the constraints out of the scene",
-        )
     if compiled.driven is not None:
         _refuse_blind(options, UNFORCED_TOLERANCES, compiled.driven)
     elif compiled.forced:

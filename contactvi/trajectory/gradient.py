@@ -104,7 +104,14 @@ def _check_direction(
     rng = np.random.default_rng(0)
     entries = {"q0": "q", "v0": "v", "control": "tau", "target": "tau", "target_velocity": "tau"}
     asked = {entries[name] for name in names if name in entries} or {"tau"}
-    direction = {entry: rng.standard_normal((compiled.states.nv, 1)) for entry in sorted(asked)}
+    direction: dict[str, Any] = {entry: rng.standard_normal((compiled.states.nv, 1)) for entry in sorted(asked)}
+    mixed: parameters.Direction = {}
+    for name in filter(parameters.is_parameter, names):
+        for part in parameters.directions_of(compiled.built.model, name):
+            for entry, values in part.items():
+                mixed[entry] = mixed.get(entry, np.zeros_like(values)) + rng.standard_normal() * values
+    if mixed:
+        direction["parameters"] = [mixed]
     found = run.tangent({"count": 1, **direction}, [float(traj.t[-1])], taken)
     if "fact" in found:
         raise not_differentiable(traj, found)

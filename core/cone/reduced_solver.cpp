@@ -8,9 +8,12 @@
 namespace contactvi {
 
 namespace {
-constexpr double kRedundant = 1e-10;  // of the rows of equations, scaled to one: less is rounding
-constexpr double kStill = 1e-11;      // of the speeds: slower is at rest
-constexpr double kIdle = 1e-10;       // of a row of a contact: what equations leave of it is rounding
+constexpr double kRedundant = 1e-10;  // of the rows of equations, scaled: less is rounding
+// Of the longest row of a group: shorter ones are not scaled to one. A planar loop on a body that hardly tilts has a
+// row across its plane that is almost zero, and depends on the others but for rounding.
+constexpr double kShort = 1e-2;
+constexpr double kStill = 1e-11;  // of the speeds: slower is at rest
+constexpr double kIdle = 1e-10;   // of a row of a contact: what equations leave of it is rounding
 // A block of more degrees of freedom, on which less than this share of them in rows acts, is reduced: a smaller one
 // costs less as it is.
 constexpr Eigen::Index kSmall = 24;
@@ -68,11 +71,10 @@ void ReducedSolver::find_basis(const BlockProblem& problem, const Eigen::Ref<con
   if (m == 0) return;
   group.rows.resize(n, m);
   group.scale.resize(m);
-  for (Eigen::Index e = 0; e < m; ++e) {
-    group.rows.col(e) = W.col(group.equations[e])(group.dofs);
-    group.scale[e] = 1.0 / group.rows.col(e).norm();
-    group.rows.col(e) *= group.scale[e];
-  }
+  for (Eigen::Index e = 0; e < m; ++e) group.rows.col(e) = W.col(group.equations[e])(group.dofs);
+  group.scale = group.rows.colwise().norm();
+  group.scale = group.scale.cwiseMax(kShort * group.scale.maxCoeff()).cwiseInverse();
+  group.rows *= group.scale.asDiagonal();
   group.decomposed.setThreshold(kRedundant);
   group.decomposed.compute(group.rows);
   group.N.setZero(n, n - group.decomposed.rank());

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "model/constraints.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -22,15 +24,17 @@ bool any(const VecX& x, int row, int count) {
 
 }  // namespace
 
-void DenseRecorder::begin(const VecX& q0, const VecX& p0, double h, bool keeps_energy) {
+void DenseRecorder::begin(const VecX& q0, const VecX& p0, double t, double h, bool keeps_energy) {
   record_ = DenseStepRecord();
   found_.clear();
+  record_.t = t;
   record_.h = h;
   record_.q0 = q0;
   record_.p0 = p0;
   record_.expanded = 1.0;
   record_.keeps_energy = keeps_energy;
   const Elements& e = scene_->tree.elements;
+  record_.constraints = e.constraint_rows;
   for (int dof : e.friction_dofs) record_.joints.push_back({dof, e.joint_friction[dof]});
 }
 
@@ -40,21 +44,22 @@ void DenseRecorder::take_masses(const BlockProblem& problem) {
     record_.D.block(problem.start[b], problem.start[b], problem.size(b), problem.size(b)) = problem.M[b];
 }
 
-// From the order of the contact problem, in which the joints come last.
-VecX DenseRecorder::ordered(const VecX& lambda) const {
+// From the order of the contact problem, which has no rows of constraints and those of the joints last.
+VecX DenseRecorder::ordered(const VecX& lambda, const VecX& mu) const {
   const auto joints = static_cast<Eigen::Index>(record_.joints.size());
-  VecX found(lambda.size());
-  found << lambda.tail(joints), lambda.head(lambda.size() - joints);
+  VecX found(mu.size() + lambda.size());
+  found << mu, lambda.tail(joints), lambda.head(lambda.size() - joints);
   return found;
 }
 
+// In the order of the record, from the rows of the contacts `active` in that order.
 VecX DenseRecorder::spread(const std::vector<int>& active, const VecX& lambda) const {
-  const auto joints = static_cast<Eigen::Index>(record_.joints.size());
+  const Eigen::Index others = record_.row_of(record_.joints.size());
   VecX found = VecX::Zero(record_.lambda.size());
-  found.head(joints) = lambda.tail(joints);
-  std::vector<Eigen::Index> first(rows_of_.size() + 1, joints);
+  found.head(others) = lambda.head(others);
+  std::vector<Eigen::Index> first(rows_of_.size() + 1, others);
   for (std::size_t i = 0; i < rows_of_.size(); ++i) first[i + 1] = first[i] + rows_of_[i];
-  Eigen::Index row = 0;
+  Eigen::Index row = others;
   for (int i : active) {
     found.segment(first[i], rows_of_[i]) = lambda.segment(row, rows_of_[i]);
     row += rows_of_[i];
@@ -77,9 +82,9 @@ void DenseRecorder::add_place(const std::vector<DenseContact>& contacts, const V
 }
 
 void DenseRecorder::start_pass(const std::vector<DenseContact>& contacts, const VecX& q, const VecX& v,
-                               const VecX& lambda) {
+                               const VecX& lambda, const VecX& mu) {
   if (record_.rounds.empty()) {
-    add_place(contacts, q, v, lambda);
+    add_place(contacts, q, v, ordered(lambda, mu));
   } else {
     // The last place again, with the points that have joined.
     DenseStepRecord::Place& last = record_.places.back();
@@ -101,32 +106,35 @@ void DenseRecorder::set_lasting(const std::vector<int>& lasting) {
   for (int i : lasting) lasting_[i] = 1;
 }
 
-void DenseRecorder::take_law(const VecX& lambda, const VecX& v) {
+void DenseRecorder::take_law(const VecX& lambda, const VecX& mu, const VecX& v) {
   const int about = static_cast<int>(record_.places.size()) - 1;
+  VecX all = ordered(lambda, mu);
+  if (!anew_) all.head(mu.size()) += record_.places.back().lambda.head(mu.size());
   record_.rounds.push_back(
-      {about, anew_, static_cast<int>(slips_), std::vector<char>(lasting_.size(), 1), lasting_, ordered(lambda), v});
+      {about, anew_, static_cast<int>(slips_), std::vector<char>(lasting_.size(), 1), lasting_, std::move(all), v});
   anew_ = false;
 }
 
 void DenseRecorder::take_round(const std::vector<DenseContact>& contacts, const VecX& q, const VecX& v,
-                               const VecX& lambda) {
-  add_place(contacts, q, v, ordered(lambda));
+                               const VecX& lambda, const VecX& mu) {
+  add_place(contacts, q, v, ordered(lambda, mu));
 }
 
-void DenseRecorder::take_position(const VecX& lambda, const VecX& p) {
-  record_.lambda = ordered(lambda);
+void DenseRecorder::take_position(const VecX& lambda, const VecX& mu, const VecX& p) {
+  record_.lambda = ordered(lambda, mu);
   record_.p_minus = p;
 }
 
-void DenseRecorder::take_plastic(const std::vector<int>& active, const VecX& lambda, const VecX& v) {
-  record_.plastic = lambda;
+void DenseRecorder::take_plastic(const std::vector<int>& active, const VecX& lambda, const VecX& mu, const VecX& v) {
+  record_.plastic = ordered(lambda, mu);
   record_.v_plastic = v;
   record_.v_expansion = v;
   active_of_end_ = active;
 }
 
-void DenseRecorder::take_expansion(const std::vector<int>& active, const VecX& lambda, const VecX& v, double share) {
-  record_.expansion = lambda;
+void DenseRecorder::take_expansion(const std::vector<int>& active, const VecX& lambda, const VecX& mu, const VecX& v,
+                                   double share) {
+  record_.expansion = ordered(lambda, mu);
   record_.v_expansion = v;
   record_.expanded = share;
   active_of_end_ = active;
@@ -140,7 +148,7 @@ void DenseRecorder::keep_loaded(const std::vector<DenseContact>& contacts) {
   s.plastic = spread(active_of_end_, s.plastic);
   if (s.expansion.size() > 0) s.expansion = spread(active_of_end_, s.expansion);
   std::vector<int> rows, kept;
-  int row = static_cast<int>(s.joints.size());
+  int row = static_cast<int>(s.row_of(s.joints.size()));
   for (int k = 0; k < row; ++k) rows.push_back(k);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const DenseContact& c = contacts[i];
@@ -187,10 +195,14 @@ void DenseRecorder::finish(const std::vector<DenseContact>& contacts, const VecX
   s.p1 = p1;
   s.v1 = v1;
   s.gap_solved = gap_solved;
+  VecX phi(s.constraints), rate(s.constraints);
   const auto fill = [&](const VecX& q, const auto& contact_at, const auto& tangent_at, MatX& W) {
     guards_->place(q);
     W.setZero(scene_->tree.nv, s.lambda.size());
-    for (std::size_t k = 0; k < s.joints.size(); ++k) W(s.joints[k].dof, static_cast<Eigen::Index>(k)) = 1.0;
+    // The time has no effect on the rows.
+    if (s.constraints > 0)
+      evaluate_constraints(scene_->tree, guards_->placements(), q, s.t, phi, W.leftCols(s.constraints), rate);
+    for (std::size_t k = 0; k < s.joints.size(); ++k) W(s.joints[k].dof, s.row_of(k)) = 1.0;
     for (std::size_t i = 0; i < s.contacts.size(); ++i) {
       const DenseStepRecord::Contact& c = s.contacts[i];
       guards_->rows(c.point.guard, contact_at(i), tangent_at(i), W.middleCols(c.row, c.mu > 0.0 ? 3 : 1));

@@ -154,6 +154,14 @@ VecX DenseStep::momentum(const VecX& v) const {
   return p;
 }
 
+// The impulses of the constraints that change the velocities by dv beside those of the present problem.
+VecX DenseStep::multipliers(const VecX& dv, const VecX& lambda) const {
+  if (!constrained()) return VecX();
+  VecX p = momentum(dv);
+  rows_.add_impulses(-lambda, p);
+  return solver_.multipliers(p);
+}
+
 void DenseStep::set_start_momentum() {
   p_start_ = p0_;
   rows_.add_impulses(lambda_, p_start_);
@@ -167,7 +175,9 @@ void DenseStep::close_rates(VecX& p) {
   integrator_.place_node(q1_);
   integrator_.solve_masses(X);
   integrator_.solve_mass(work_);
-  end_.mu = (end_.W.transpose() * X).completeOrthogonalDecomposition().solve(-end_.W.transpose() * work_ - end_.rate);
+  reduction_.set(end_.W.transpose() * X, static_cast<int>(end_.mu.size()));
+  reduction_.right_side(end_.W.transpose() * work_ + end_.rate);
+  reduction_.complete(VecX(), end_.mu);
   p += end_.W * end_.mu;
 }
 
@@ -309,7 +319,7 @@ bool DenseStep::position_problem() {
   lambda_.setZero(problem.rows());
   mobility_.assign(active_.size(), 0.0);
   place_end();
-  if (recorder_) recorder_->start_pass(all, q1_, v_, lambda_);
+  if (recorder_) recorder_->start_pass(all, q1_, v_, lambda_, start_.mu);
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
@@ -324,22 +334,25 @@ bool DenseStep::position_problem() {
   solver_.prepare(problem);
   BlockResult result;
   double last = INFINITY;
+  VecX from = v_free_, before = VecX::Zero(problem.rows());  // velocities, and the impulses with which they are
   for (int k = 0;; ++k) {
     work_ = v_;
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
     result = solve_law(INFINITY, v_);
     if (!v_.allFinite()) return fail("a number is not finite");
-    if (recorder_) recorder_->take_law(lambda_, v_);
+    if (recorder_) recorder_->take_law(lambda_, multipliers(v_ - from, lambda_ - before), v_);
     work_ = v_ - work_;
     integrator_.add_velocity(work_);
     if (!gap_iterations()) return false;
-    if (recorder_) recorder_->take_round(all, q1_, v_, lambda_);
+    if (recorder_) recorder_->take_round(all, q1_, v_, lambda_, start_.mu);
     // Friction that slides holds the normal impulse of a gap that opens, which breaks the law as a speed of that gap
     // over h does: where that is more than an accepted residual, the whole law again, about this motion.
     const double open = widest_loaded_gap() / h_;
     result.residual = std::max(result.residual, open / result.scale);
     if (open <= kLawAccepted * closeness_ * result.scale || k >= kLawRounds || open > kLawStalled * last) break;
     last = open;
+    from = v_;
+    before = lambda_;
     for (std::size_t i = 0; i < active_.size(); ++i) problem.offset[rows_.block(i).row] = offset(all[active_[i]], i);
     solver_.free_velocity(problem, lambda_, v_, problem.v_free);
   }
@@ -384,7 +397,7 @@ bool DenseStep::position_impulses() {
   joint_friction_loss_ = -joint_friction_work(lambda_, v_);
   integrator_.set_start_momentum(p_start_);
   integrator_.finish(q1_, p1_);
-  if (recorder_) recorder_->take_position(lambda_, p1_);
+  if (recorder_) recorder_->take_position(lambda_, start_.mu, p1_);
   return true;
 }
 
@@ -402,6 +415,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
     c.t1_1 = scene_->is_pair(c.point.guard) ? carried_tangent(c.t1_0, c.at0.normal, c.at1.normal) : Vec3(Vec3::Zero());
     if (c.closed) active_.push_back(i);
   }
+  work_ = v1_;
   rows_.set_masses([this](MatX& X) { integrator_.solve_masses(X); });
   rows_.set(all, active_, true, guards_->placements(), h_);
   BlockProblem& problem = rows_.problem();
@@ -420,7 +434,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   solver_.prepare(problem);
   account(solve_law(bound_energy, v1_));
   rows_.add_impulses(lambda_, p1_);
-  if (recorder_) recorder_->take_plastic(active_, lambda_, v1_);
+  if (recorder_) recorder_->take_plastic(active_, lambda_, multipliers(v1_ - work_, lambda_), v1_);
   lambda_end_ = lambda_;
   expand(bound_energy);
   return v1_.allFinite() && p1_.allFinite() ? true : fail("a number is not finite");
@@ -451,7 +465,7 @@ void DenseStep::expand(double bound_energy) {
   account(solve_law(INFINITY, v1_));
   // Energy, cone and gaps are convex conditions: a share of the expansion keeps them as the whole and none of it do.
   const double share = kinetic_share(problem, plastic, v1_, bound_energy);
-  if (recorder_) recorder_->take_expansion(active_, lambda_, v1_, share);
+  if (recorder_) recorder_->take_expansion(active_, lambda_, multipliers(v1_ - plastic, lambda_), v1_, share);
   if (share < 1.0) {
     lambda_ *= share;
     v1_ = plastic + share * (v1_ - plastic);
@@ -495,7 +509,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   kept_ = kept;
   report_ = DenseReport();
   if (!solve_smooth(q0, p0, h, tau)) return false;
-  if (recorder_) recorder_->begin(q0_, p0_, h, kept == Kept::kEnergy);
+  if (recorder_) recorder_->begin(q0_, p0_, t_, h, kept == Kept::kEnergy);
   const Energy before = energy(integrator_, q0, p0, v0_);
   integrator_.set_start_momentum(p_start_);
   integrator_.finish(q1_, p1_);

@@ -19,6 +19,7 @@
 #include <memory>
 #include <vector>
 
+#include "base/reduction.hpp"
 #include "cone/reduced_solver.hpp"
 #include "contact/dense_recorder.hpp"
 #include "contact/dense_rows.hpp"
@@ -125,6 +126,7 @@ class DenseStep {
   double take_reactions();
   bool constraints_met();
   VecX momentum(const VecX& v) const;
+  VecX multipliers(const VecX& dv, const VecX& lambda) const;
   void bound_velocities();
   bool position_impulses();
   bool position_problem();
@@ -154,6 +156,7 @@ class DenseStep {
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
   Memory memory_;
   Constraints start_, end_;
+  Reduction reduction_;  // of the constraints at the end of the step without contacts
   VecX q0_, q_free_, p0_, v0_, v_free_, v_, v1_, q1_, p1_;
   VecX p_start_, bound_, work_;  // momentum after the position impulse; bound on the velocities; workspace
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction

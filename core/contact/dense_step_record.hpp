@@ -1,6 +1,7 @@
 // A dense step as it was taken, with all that its derivative needs. Engine coordinates.
 //
-// Rows of impulses: one per degree of freedom with joint friction, then those of the contacts, 3 or 1 each.
+// Rows of impulses: those of the constraints of the scene (constraints.hpp), one per degree of freedom with joint
+// friction, then those of the contacts, 3 or 1 each.
 #pragma once
 
 #include <vector>
@@ -24,7 +25,7 @@ struct DenseStepRecord {
   // The end of a motion of the step, about which the law was linearised, or which the gap iterations have led to.
   struct Place {
     VecX q, v;                            // end, and velocity of the stage
-    VecX lambda;                          // with these impulses
+    VecX lambda;                          // with these impulses; of constraints also in the step without others
     std::vector<contactvi::Contact> end;  // of the contacts
     std::vector<Vec3> t1;
     MatX W;  // (nv, rows)
@@ -35,7 +36,9 @@ struct DenseStepRecord {
     bool anew;                           // velocities change from those of the step without impulses, not of that place
     int slips;                           // the place with which the slips of lasting contacts were made
     std::vector<char> present, lasting;  // of the contacts
-    VecX lambda, v;                      // of the law, before the gap iterations
+    // Of the law, before the gap iterations. Impulses of constraints: those of the place from which velocities change
+    // and what the law adds to them; without the former where they change from those of the step without impulses.
+    VecX lambda, v;
   };
   struct Joint {
     int dof;
@@ -46,6 +49,7 @@ struct DenseStepRecord {
   double share;         // h of what was left of the control step; 0: the length does not depend on it
   double allowed_rate;  // of what overlaps may be left, in the length [m/s]
   VecX q0, p0;
+  int constraints = 0;  // rows of constraints: all that the scene has
   std::vector<Joint> joints;
   std::vector<Contact> contacts;
   MatX W0, W1;                // at the start and the end, (nv, rows)
@@ -63,6 +67,9 @@ struct DenseStepRecord {
   double residual;    // of Coulomb's law (DenseReport)
   int repaired;       // problems whose answer is not the law's
   bool keeps_energy;  // points were pushed no further than they would be at rest
+
+  // Row of a joint.
+  Eigen::Index row_of(std::size_t joint) const { return constraints + static_cast<Eigen::Index>(joint); }
 };
 
 }  // namespace contactvi

@@ -32,9 +32,7 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
-  // Dense steps with constraints have no derivative yet.
-  const bool recordable = !options_.gradient || scene_->tree.elements.constraint_rows == 0;
-  return options_.contact_steps != ContactSteps::kEvents && recordable && allows_persistent_contact();
+  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact();
 }
 
 // What locating events has cost so far [us].
@@ -81,6 +79,8 @@ void Simulator::begin_dense_phase() {
   if (state_.dense.active) return;
   state_.dense.begin();
   dense_step_.restart();
+  // A joint that sticks may move in dense steps, and stick elsewhere.
+  for (auto& joint : contact_step_.friction_joints()) joint.anchored = false;
   guards_.forget_distances();
   integrator_.forget();
 }

@@ -111,7 +111,7 @@ void ContactPieceAdjoint::pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradi
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = dense_gradient_.q;
   lp = dense_gradient_.p;
-  ltime = ltime * (1.0 - s.share) - s.share * dense_gradient_.h;
+  ltime = dense_gradient_.t + ltime * (1.0 - s.share) - s.share * dense_gradient_.h;
   result.end_step(number_, dense_gradient_.tau);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];

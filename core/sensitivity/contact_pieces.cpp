@@ -105,6 +105,7 @@ void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
     direction.q = columns.q.col(k);
     direction.p = columns.p.col(k);
     direction.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    direction.t = columns.time[k];
     direction.h = -columns.time[k] * dense_step_->share;
     direction.size_q = size_q_[k];
     direction.size_p = size_p_[k];

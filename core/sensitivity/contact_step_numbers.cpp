@@ -339,7 +339,7 @@ class DenseCheck {
   bool is_contact(const Contact& c) const { return is_body(scene_, c.body_a) && is_body(scene_, c.body_b); }
 
   bool joints_fit(Eigen::Index rows) const {
-    if (static_cast<Eigen::Index>(s_.joints.size()) > rows) return false;
+    if (s_.row_of(s_.joints.size()) > rows) return false;
     for (const DenseStepRecord::Joint& joint : s_.joints)
       if (!within(joint.dof, scene_.tree.nv)) return false;
     return true;
@@ -350,7 +350,7 @@ class DenseCheck {
       const bool limit = c.point.kind == PointKind::kLimit;
       if ((limit && c.mu > 0.0) || !(c.mu >= 0.0) || !(c.found == -1 || is_place(c.found))) return false;
       if (!limit && !(is_contact(c.start) && is_contact(c.end))) return false;
-      if (c.row < static_cast<int>(s_.joints.size()) || c.row + (c.mu > 0.0 ? 3 : 1) > rows) return false;
+      if (c.row < s_.row_of(s_.joints.size()) || c.row + (c.mu > 0.0 ? 3 : 1) > rows) return false;
     }
     return true;
   }
@@ -425,6 +425,7 @@ std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const double* nu
   std::vector<DenseStepRecord> steps;
   while (!reader.done()) {
     dense_fields(reader, steps.emplace_back());
+    steps.back().constraints = scene.tree.elements.constraint_rows;
     if (!DenseCheck(scene, steps.back()).fits()) refuse("numbers of another scene");
   }
   return steps;

@@ -14,19 +14,25 @@ constexpr double kStill = 1e-9;   // of the speeds: a slower slip is that of a c
 constexpr double kShares = 1e-6;  // of a distribution of impulses without effect: what takes part in it
 }  // namespace
 
-void DenseLaws::take_law(const DenseStepRecord& step, const VecX& lambda, const VecX& w, const MatX& rows,
-                         const VecX& low, const VecX& box, const Scale& scale) {
+void DenseLaws::begin(const DenseStepRecord& step, const VecX& lambda) {
+  constraints_ = step.constraints;
   lambda_ = lambda;
   contacts_.clear();
   joints_.clear();
   sign_.clear();
   margin_ = 1.0;
   error_ = 0.0;
+}
+
+void DenseLaws::take_law(const DenseStepRecord& step, const VecX& lambda, const VecX& w, const MatX& rows,
+                         const VecX& low, const VecX& box, const Scale& scale) {
+  begin(step, lambda);
   const double largest = std::max(scale.impulse, kLeastDivisor), speed = std::max(scale.speed, kLeastDivisor);
-  const double mobility = rows.size() > 0 ? rows.diagonal().maxCoeff() : 0.0;
+  const Eigen::Index others = rows.rows() - constraints_;
+  const double mobility = others > 0 ? rows.diagonal().tail(others).maxCoeff() : 0.0;
   const auto nearest = [&](double impulse) { margin_ = std::min(margin_, std::abs(impulse) / largest); };
   for (std::size_t k = 0; k < step.joints.size(); ++k) {
-    const auto r = static_cast<Eigen::Index>(k);
+    const Eigen::Index r = row_of(k);
     const double g = std::max(rows(r, r), kLeastMobility * mobility), x = lambda[r] - w[r] / g;
     const bool slips = std::abs(x) >= box[r] || box[r] <= 0.0;
     joints_.push_back(slips ? Friction::kSlip : Friction::kStick);
@@ -85,16 +91,19 @@ void DenseLaws::take_law(const DenseStepRecord& step, const VecX& lambda, const 
 
 void DenseLaws::take_gaps(const DenseStepRecord& step, const VecX& lambda, const std::vector<double>& gaps,
                           const MatX& rows) {
-  lambda_ = lambda;
-  contacts_.clear();
+  begin(step, lambda);
   joints_.assign(step.joints.size(), Friction::kGiven);
   sign_.assign(step.joints.size(), 1.0);
-  margin_ = 1.0;
-  error_ = 0.0;
   for (std::size_t i = 0; i < step.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = step.contacts[i];
     Contact law{Normal::kOpen, Friction::kNone, c.row, c.mu, Eigen::Vector2d::Zero(), 0.0};
-    if (lambda[c.row] > 0.0) law.normal = gaps[i] > step.gap_solved ? Normal::kBound : Normal::kClosed;
+    if (lambda[c.row] > 0.0) {
+      // A gap that is open: friction holds its normal impulse, unless what that has above friction moves it further.
+      // Then the gap is what rounding has left.
+      const double held = c.mu > 0.0 ? lambda.segment<2>(c.row + 1).norm() / c.mu : 0.0;
+      const double lift = (lambda[c.row] - held) * rows(c.row, c.row) * step.h;
+      law.normal = gaps[i] > step.gap_solved && lift < gaps[i] ? Normal::kBound : Normal::kClosed;
+    }
     if (law.normal != Normal::kOpen && c.mu > 0.0) law.friction = Friction::kGiven;
     contacts_.push_back(law);
   }
@@ -112,7 +121,7 @@ void DenseLaws::set_system(const MatX& rows) {
     A.middleRows(r, count) = MatX::Identity(rows.rows(), rows.cols()).middleRows(r, count);
   };
   for (std::size_t k = 0; k < joints_.size(); ++k)
-    if (joints_[k] != Friction::kStick) unit(static_cast<int>(k), 1);
+    if (joints_[k] != Friction::kStick) unit(static_cast<int>(row_of(k)), 1);
   for (const Contact& c : contacts_) {
     const int r = c.row;
     if (c.normal != Normal::kClosed) unit(r, 1);
@@ -123,14 +132,13 @@ void DenseLaws::set_system(const MatX& rows) {
     A.block<2, 2>(r + 1, r + 1) += Eigen::Matrix2d::Identity();
     A.block<2, 1>(r + 1, r) += c.mu * c.along;
   }
-  system_.compute(A);
+  system_.compute(A, constraints_);
 }
 
 bool DenseLaws::solve(const VecX& base, const VecX& known, const VecX& mu, const VecX& size, VecX& dlambda) const {
   VecX c = base;
   for (std::size_t k = 0; k < joints_.size(); ++k)
-    if (joints_[k] != Friction::kStick)
-      c[static_cast<Eigen::Index>(k)] = -sign_[k] * known[static_cast<Eigen::Index>(k)];
+    if (joints_[k] != Friction::kStick) c[row_of(k)] = -sign_[k] * known[row_of(k)];
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const Contact& law = contacts_[i];
     const int r = law.row;
@@ -159,7 +167,7 @@ void DenseLaws::solve_transposed(const VecX& l, VecX& lbase, VecX& lknown, VecX&
   lknown.setZero(l.size());
   lmu.setZero(static_cast<Eigen::Index>(contacts_.size()));
   for (std::size_t k = 0; k < joints_.size(); ++k) {
-    const auto r = static_cast<Eigen::Index>(k);
+    const Eigen::Index r = row_of(k);
     if (joints_[k] == Friction::kStick) continue;
     lknown[r] = -sign_[k] * lc[r];
     lbase[r] = 0.0;

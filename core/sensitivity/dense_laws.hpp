@@ -1,6 +1,7 @@
 // The active set of one contact problem of a dense step, and the linear equations that its impulses obey along a
 // direction: dw is the change of the rows' speeds, dw = base + rows dlambda.
 //
+//   constraints  dw = 0
 //   normal     open: dlambda = 0;   closed: dw_n = 0;   at its bound: dlambda_n = dlow
 //   friction   sticks: dw_t = 0;   slips: d(lambda_t + mu lambda_n w_t / |w_t|) = 0;   given: dlambda_t is known
 //   joints     stick: dw = 0;   at the bound of their friction, or given: dlambda is known
@@ -55,9 +56,12 @@ class DenseLaws {
   double error() const { return error_; }
 
  private:
+  void begin(const DenseStepRecord& step, const VecX& lambda);
+  Eigen::Index row_of(std::size_t joint) const { return constraints_ + static_cast<Eigen::Index>(joint); }
   void set_system(const MatX& rows);
   Eigen::Matrix2d turn(const Contact& c) const;
 
+  int constraints_ = 0;  // rows of constraints, which come first
   std::vector<Contact> contacts_;
   std::vector<Friction> joints_;
   std::vector<double> sign_;  // of joints at their bounds

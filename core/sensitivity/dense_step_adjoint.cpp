@@ -98,6 +98,14 @@ void DenseStepAdjoint::pass_gaps(int place, const VecX& lgaps) {
   for (const Source& source : sources_) of(source) += source.gaps[place].transpose() * lgaps;
 }
 
+// The transpose of DenseStepTangent::end_times(), over the length; lrows: gradients in the rows of a place.
+void DenseStepAdjoint::pass_end_times(const VecX& lrows) {
+  if (tangent_.constraints_ == 0) return;
+  const double l = tangent_.end_constraints_.rates().dot(lrows.head(tangent_.constraints_)) / record_->h;
+  lt_ += l;
+  lh_ += l;
+}
+
 void DenseStepAdjoint::pass_slips(int place, const VecX& lslips) {
   places_[place].q += slips_[place].of_q.transpose() * lslips;
   places_[place].v += slips_[place].of_v.transpose() * lslips;
@@ -114,6 +122,10 @@ void DenseStepAdjoint::pass_end_base(const DenseStepTangent::End& end, const Vec
   adjoint_.momentum(q1, end.v, -m, lq, work_);
   places_.back().q += lq;
   adjoint_.add_momentum_parameters(q1, end.v, -m, sums);
+  if (tangent_.constraints_ == 0) return;
+  const double later = tangent_.end_constraints_.accelerations().dot(lbase.head(tangent_.constraints_));
+  lt_ += later;
+  lh_ += later;
 }
 
 void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& sums) {
@@ -139,7 +151,7 @@ void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& 
     t.expansion_.laws.solve_transposed(s.expanded * lplastic, lbase, lknown, lmu);
     lmu_ += lmu;
     for (std::size_t j = 0; j < s.joints.size(); ++j) {
-      const auto r = static_cast<Eigen::Index>(j);
+      const Eigen::Index r = s.row_of(j);
       lh_ += 0.5 * s.joints[j].limit * lknown[r];
       lplastic[r] -= std::copysign(1.0, s.plastic[r]) * lknown[r];
     }
@@ -155,8 +167,7 @@ void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& 
   }
   t.plastic_.laws.solve_transposed(lplastic, lbase, lknown, lmu);
   lmu_ += lmu;
-  for (std::size_t j = 0; j < s.joints.size(); ++j)
-    lh_ += 0.5 * s.joints[j].limit * lknown[static_cast<Eigen::Index>(j)];
+  for (std::size_t j = 0; j < s.joints.size(); ++j) lh_ += 0.5 * s.joints[j].limit * lknown[s.row_of(j)];
   pass_end_base(t.plastic_, lbase, sums);
   for (Eigen::Index d = 0; d < lq.size(); ++d) end.q[d] += W1_of_q1_[d].cwiseProduct(lW1_).sum();
   pass_rows(MatX(), lW1_);
@@ -219,6 +230,7 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
   round.gaps.solve_transposed(llambda, lbase, lknown, lmu);
   const VecX lq = next.q + to.W * lbase / s.h;
   pass_gaps(static_cast<int>(k) + 1, lbase / s.h);
+  pass_end_times(lbase);
   for (std::size_t i = 0; i < s.contacts.size(); ++i)
     lallowed_[static_cast<Eigen::Index>(i)] -= lbase[s.contacts[i].row] / s.h;
   VecX lp_start;
@@ -241,8 +253,7 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
     const VecX llaw = lknown;
     round.law.solve_transposed(llaw, lbase, lknown, lmu);
     lmu_ += lmu;
-    for (std::size_t j = 0; j < s.joints.size(); ++j)
-      lh_ += 0.5 * s.joints[j].limit * lknown[static_cast<Eigen::Index>(j)];
+    for (std::size_t j = 0; j < s.joints.size(); ++j) lh_ += 0.5 * s.joints[j].limit * lknown[s.row_of(j)];
     lW0 += r.v * lbase.transpose();
     VecX lgaps = VecX::Zero(t.rows_), lslips = lgaps;
     const VecX lv = s.W0 * lbase, lforce = t.D_.solve(lv);
@@ -262,11 +273,41 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
     }
     pass_gaps(r.about, lgaps);
     if (lasting) pass_slips(r.slips, lslips);
-    places_[r.anew ? 0 : r.about].v += lv;
+    Change& from_change = places_[r.anew ? 0 : r.about];
+    from_change.v += lv;
+    if (t.constraints_ > 0) {
+      const VecX l = lbase.head(t.constraints_);
+      lW0.leftCols(t.constraints_) -= from.v * l.transpose();
+      from_change.v -= s.W0.leftCols(t.constraints_) * l;
+    }
     lW0 += lforce * (r.anew ? r.lambda : VecX(r.lambda - about.lambda)).transpose();
     if (!r.anew) places_[r.about].lambda -= s.W0.transpose() * lforce;
     pass_masses(round, r.v - from.v, -lforce, sums);
   }
+  pass_rows(lW0, MatX());
+  return true;
+}
+
+// The transpose of DenseStepTangent::solve_free().
+bool DenseStepAdjoint::pass_free(StepParameters& sums) {
+  const DenseStepTangent& t = tangent_;
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Place& place = s.places[0];
+  const int m = t.constraints_;
+  Change& free = places_[0];
+  VecX p = s.p0, lp_start;
+  if (m > 0) {
+    p += s.W0.leftCols(m) * place.lambda.head(m);
+    const VecX lmu =
+        free.lambda.head(m) + t.free_constraints_.Q.transpose() * free.q + t.free_constraints_.V.transpose() * free.v;
+    const VecX lbase = t.free_constraints_.system.solve_transposed(lmu);
+    free.q += place.W.leftCols(m) * lbase / s.h;
+    pass_end_times(lbase);
+  }
+  if (!pass_step(p, place, free.q, free.v, VecX::Zero(scene_->tree.nv), lp_start, sums)) return false;
+  if (m == 0) return true;
+  MatX lW0 = MatX::Zero(scene_->tree.nv, t.rows_);
+  lW0.leftCols(m) = lp_start * place.lambda.head(m).transpose();
   pass_rows(lW0, MatX());
   return true;
 }
@@ -279,12 +320,11 @@ bool DenseStepAdjoint::solve(const VecX& lq, const VecX& lp, DenseStepGradient& 
   places_.assign(s.places.size(), {VecX::Zero(n), VecX::Zero(n), VecX::Zero(t.rows_)});
   for (VecX* x : {&lq0_, &lp0_, &lv0_, &lp_minus_, &ltau_}) x->setZero(n);
   for (VecX* x : {&lmu_, &le_, &lallowed_}) x->setZero(contacts);
-  lh_ = 0.0;
+  lt_ = lh_ = 0.0;
   pass_end(lq, lp, sums);
   for (std::size_t k = s.rounds.size(); k-- > 0;)
     if (!pass_round(k, sums)) return false;
-  VecX lp_start;
-  if (!pass_step(s.p0, s.places[0], places_[0].q, places_[0].v, VecX::Zero(n), lp_start, sums)) return false;
+  if (!pass_free(sums)) return false;
   // The velocity at the start.
   tangent_.start_masses_.place_node(s.q0);
   VecX m = lv0_, lq0(n);
@@ -299,7 +339,7 @@ bool DenseStepAdjoint::solve(const VecX& lq, const VecX& lp, DenseStepGradient& 
     lq0_ += lallowed_[i] * s.W0.col(c.row);
     lh_ += s.allowed_rate * lallowed_[i];
   }
-  g = {lq0_, lp0_, lh_, ltau_, lmu_, le_};
+  g = {lq0_, lp0_, lt_, lh_, ltau_, lmu_, le_};
   return true;
 }
 

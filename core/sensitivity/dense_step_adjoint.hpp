@@ -13,7 +13,7 @@ namespace contactvi {
 // Gradients in what a dense step depends on; those of DenseStepDirection.
 struct DenseStepGradient {
   VecX q, p;
-  double h = 0.0;
+  double t = 0.0, h = 0.0;
   VecX tau, mu, e;
 };
 
@@ -48,10 +48,12 @@ class DenseStepAdjoint {
   void fill(Source& source, int dof);
   void pass_rows(const MatX& lW0, const MatX& lW1);
   void pass_gaps(int place, const VecX& lgaps);
+  void pass_end_times(const VecX& lrows);
   void pass_slips(int place, const VecX& lslips);
   VecX& of(const Source& source) { return source.place < 0 ? lq0_ : places_[source.place].q; }
   void pass_end(const VecX& lq, const VecX& lp, StepParameters& sums);
   void pass_end_base(const DenseStepTangent::End& end, const VecX& lbase, StepParameters& sums);
+  bool pass_free(StepParameters& sums);
   bool pass_round(std::size_t k, StepParameters& sums);
   void pass_masses(const DenseStepTangent::Round& round, const VecX& u, const VecX& l, StepParameters& sums);
   bool pass_step(const VecX& p_start, const DenseStepRecord::Place& place, const VecX& lq, const VecX& lv,
@@ -69,7 +71,7 @@ class DenseStepAdjoint {
   // Gradients on the way.
   std::vector<Change> places_;
   VecX lq0_, lp0_, lv0_, lp_minus_, ltau_, lmu_, le_, lallowed_, work_;
-  double lh_ = 0.0;
+  double lt_ = 0.0, lh_ = 0.0;
   MatX lW1_;
 };
 

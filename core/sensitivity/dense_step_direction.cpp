@@ -6,9 +6,15 @@
 
 namespace contactvi {
 
+namespace {
+// Of a momentum: where the masses of a step's law change by less within it they count as one matrix.
+constexpr double kOneMatrix = 1e-7;
+}  // namespace
+
 void DenseStepTangent::set_start_rows(const VecX& dq0) {
   const DenseStepRecord& s = *record_;
   dW0_.setZero();
+  if (constraints_ > 0) start_constraints_.change(dq0, dW0_.leftCols(constraints_));
   twists_.place(s.q0);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
@@ -110,6 +116,7 @@ DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Contact& at
 void DenseStepTangent::set_end_rows(const VecX& dq1) {
   const DenseStepRecord& s = *record_;
   dW1_.setZero();
+  if (constraints_ > 0) end_constraints_.change(dq1, dW1_.leftCols(constraints_));
   twists_.place(s.places.back().q);
   twists_.move(none_);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
@@ -160,6 +167,7 @@ void DenseStepTangent::matrix_change(const Round& round, const DenseStepDirectio
            round.mass_effect.middleCols(2 * n, n) * places_[0].v + round.mass_effect.col(3 * n) * d.h;
   if (d.parameters == nullptr) return;
   const StepParameters& p = *d.parameters;
+  const VecX others = change;
   free_.add_momentum(q_stage_, u, p, change);
   change += 0.5 * h * (p.damping + p.kd).cwiseProduct(u) + 0.25 * h * h * p.kp.cwiseProduct(u);
   for (std::size_t k = 0; k < scene_->tree.joints.size(); ++k) {
@@ -167,6 +175,10 @@ void DenseStepTangent::matrix_change(const Round& round, const DenseStepDirectio
     change.segment(joint.iv, joint.nv) +=
         0.25 * h * h * p.stiffness[static_cast<Eigen::Index>(k)] * u.segment(joint.iv, joint.nv);
   }
+  // That is the change of one matrix. The factor of D is made at one configuration and applied at another one.
+  const VecX turned = round.mass_effect.middleCols(2 * n, n) * (record_->places[0].v - v0_);
+  if (change != others && turned.norm() > kOneMatrix * (record_->D * u).norm())
+    approximate("parameters of inertias and joints in masses that change within the step");
 }
 
 double DenseStepTangent::allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const {
@@ -232,6 +244,36 @@ void DenseStepTangent::check_held_gaps(const Round& round, const DenseStepDirect
     approximate("a sliding contact whose gap stays closed to one side and is held open to the other");
 }
 
+// What the residuals of the constraints at the end of the step change by with its time.
+VecX DenseStepTangent::end_times(const DenseStepDirection& d) const { return end_constraints_.rates() * (d.t + d.h); }
+
+// The first place.
+void DenseStepTangent::solve_free(const DenseStepDirection& d, const VecX& dq0) {
+  const DenseStepRecord& s = *record_;
+  Change& free = places_[0];
+  free.q.resize(scene_->tree.nv);
+  free.v.resize(scene_->tree.nv);
+  free.lambda.setZero(rows_);
+  StepDirection direction;
+  direction.q = dq0;
+  direction.p = d.p.size() > 0 ? d.p : none_;
+  if (constraints_ > 0) direction.p += dW0_.leftCols(constraints_) * s.places[0].lambda.head(constraints_);
+  direction.h = d.h;
+  direction.tau = d.tau;
+  direction.parameters = d.parameters;
+  if (!free_.solve(direction, free.q, dp_))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
+  free_.velocity_change(0, free.v);
+  if (constraints_ == 0) return;
+  const VecX base = (s.places[0].W.leftCols(constraints_).transpose() * free.q + end_times(d)) / s.h;
+  VecX dmu;
+  free_constraints_.system.solve(base, VecX::Zero(constraints_), dmu);
+  free.lambda.head(constraints_) = dmu;
+  free.q += free_constraints_.Q * dmu;
+  free.v += free_constraints_.V * dmu;
+}
+
 void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0) {
   const DenseStepRecord& s = *record_;
   const DenseStepRecord::Round& r = s.rounds[k];
@@ -242,29 +284,32 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   const VecX none = VecX::Zero(rows_);
   const VecX& from_lambda = r.anew ? none : about.lambda;
   const VecX &from_v = s.places[r.anew ? 0 : r.about].v, &from_dlambda = r.anew ? none : from_change.lambda;
-  // The law.
-  VecX change;
-  matrix_change(round, d, dq0, r.v - from_v, change);
-  const VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
-  const VecX dv = from_change.v + D_.solve(force);
-  VecX base = dW0_.transpose() * r.v + s.W0.transpose() * dv, dslip;
-  base += extra_gaps(about) / s.h;
-  bool lasting = false;
-  for (char c : r.lasting) lasting |= c != 0;
-  if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, dslip);
-  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
-    const DenseStepRecord::Contact& c = s.contacts[i];
-    const int n = c.row;
-    const double gap = about.end[i].gap - c.allowed;
-    base[n] += (about.W.col(n).dot(about_change.q) - allowed_change(c, dq0, d.h) - gap / s.h * d.h) / s.h -
-               dW0_.col(n).dot(about.v) - s.W0.col(n).dot(about_change.v);
-    if (r.lasting[i] != 0) base.segment<2>(n + 1) += dslip.segment<2>(n + 1);
+  // The law. Without friction the gap iterations find all impulses anew.
+  VecX base, known = none, dlambda = none;
+  if (has_friction_) {
+    VecX change, dslip;
+    matrix_change(round, d, dq0, r.v - from_v, change);
+    const VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
+    const VecX dv = from_change.v + D_.solve(force);
+    base = dW0_.transpose() * r.v + s.W0.transpose() * dv;
+    base += extra_gaps(about) / s.h;
+    if (constraints_ > 0)
+      base.head(constraints_) -=
+          dW0_.leftCols(constraints_).transpose() * from_v + s.W0.leftCols(constraints_).transpose() * from_change.v;
+    bool lasting = false;
+    for (char c : r.lasting) lasting |= c != 0;
+    if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, dslip);
+    for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+      const DenseStepRecord::Contact& c = s.contacts[i];
+      const int n = c.row;
+      const double gap = about.end[i].gap - c.allowed;
+      base[n] += (about.W.col(n).dot(about_change.q) - allowed_change(c, dq0, d.h) - gap / s.h * d.h) / s.h -
+                 dW0_.col(n).dot(about.v) - s.W0.col(n).dot(about_change.v);
+      if (r.lasting[i] != 0) base.segment<2>(n + 1) += dslip.segment<2>(n + 1);
+    }
+    for (std::size_t j = 0; j < s.joints.size(); ++j) known[s.row_of(j)] = 0.5 * s.joints[j].limit * d.h;
+    solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
   }
-  VecX known = none, dlambda;
-  for (std::size_t j = 0; j < s.joints.size(); ++j) known[static_cast<Eigen::Index>(j)] = 0.5 * s.joints[j].limit * d.h;
-  // Without friction the gap iterations find all impulses anew.
-  dlambda = none;
-  if (has_friction_) solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
   // The gap iterations.
   Change& next = places_[k + 1];
   known = dlambda;
@@ -284,6 +329,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   round.step.velocity_change(0, next.v);
   base = (s.places[k + 1].W.transpose() * next.q + extra_gaps(s.places[k + 1])) / s.h;
   for (const DenseStepRecord::Contact& c : s.contacts) base[c.row] -= allowed_change(c, dq0, d.h) / s.h;
+  if (constraints_ > 0) base.head(constraints_) += end_times(d) / s.h;
   solve_laws(round.gaps, base, known, VecX(), sizes(d), next.lambda);
   if (has_friction_ && rows_ > 0) check_held_gaps(round, d, dlambda, next.lambda);
   next.q += round.Q * next.lambda;
@@ -301,7 +347,9 @@ VecX DenseStepTangent::end_base(const End& end, const DenseStepDirection& d, con
   if (d.parameters != nullptr) free_.add_momentum(q1, end.v, *d.parameters, work_);
   VecX dv = force - work_;
   masses_.solve_mass(dv);
-  return dW1_.transpose() * end.v + record_->W1.transpose() * dv;
+  VecX base = dW1_.transpose() * end.v + record_->W1.transpose() * dv;
+  if (constraints_ > 0) base.head(constraints_) += end_constraints_.accelerations() * (d.t + d.h);
+  return base;
 }
 
 void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1) {
@@ -315,33 +363,20 @@ void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1
   start_masses_.place_node(s.q0);
   start_masses_.solve_mass(dv0_);
   places_.assign(s.places.size(), Change());
-  StepDirection direction;
-  direction.q = dq0;
-  direction.p = dp0;
-  direction.h = d.h;
-  direction.tau = d.tau;
-  direction.parameters = d.parameters;
-  Change& free = places_[0];
-  free.q.resize(scene_->tree.nv);
-  free.v.resize(scene_->tree.nv);
-  free.lambda.setZero(rows_);
-  if (!free_.solve(direction, free.q, dp_))
-    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
-           "Use a smaller dt");
-  free_.velocity_change(0, free.v);
+  solve_free(d, dq0);
   for (std::size_t k = 0; k < s.rounds.size(); ++k) solve_round(k, d, dq0);
   const Change& end = places_.back();
   dq1 = end.q;
   set_end_rows(end.q);
   masses_.place_node(s.places.back().q);
   VecX force, known = VecX::Zero(rows_), dplastic, dexpansion, total = s.plastic;
-  for (std::size_t j = 0; j < s.joints.size(); ++j) known[static_cast<Eigen::Index>(j)] = 0.5 * s.joints[j].limit * d.h;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) known[s.row_of(j)] = 0.5 * s.joints[j].limit * d.h;
   solve_laws(plastic_.laws, end_base(plastic_, d, end.q, dp_, force), known, d.mu, sizes(d), dplastic);
   VecX dtotal = dplastic;
   double dshare = 0.0;
   if (s.expansion.size() > 0) {
     for (std::size_t j = 0; j < s.joints.size(); ++j) {
-      const auto r = static_cast<Eigen::Index>(j);
+      const Eigen::Index r = s.row_of(j);
       known[r] -= std::copysign(1.0, s.plastic[r]) * dplastic[r];
     }
     for (std::size_t i = 0; i < s.contacts.size(); ++i) {

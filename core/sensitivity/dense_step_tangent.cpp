@@ -21,6 +21,8 @@ DenseStepTangent::DenseStepTangent(const Scene& scene, bool take_branch)
       masses_(scene.tree, 1, 1e-12, 1),
       step_masses_(scene),
       free_(scene.tree, 1),
+      start_constraints_(scene.tree),
+      end_constraints_(scene.tree),
       twists_(scene.tree),
       v0_(scene.tree.nv),
       q_stage_(scene.tree.nq),
@@ -45,17 +47,18 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   error_ = 0.0;
   approximate_ = "";
   rows_ = static_cast<int>(step.lambda.size());
+  constraints_ = step.constraints;
   has_friction_ = !step.joints.empty();
   for (const DenseStepRecord::Contact& c : step.contacts) has_friction_ |= c.mu > 0.0;
   take_geometry();
   take_masses(tau, servo);
-  free_.take(step.q0, step.p0, step.h, tau, step.t, servo, step.places[0].v);
+  take_free(tau, servo);
   while (rounds_.size() < step.rounds.size()) rounds_.emplace_back(scene_->tree);
   set_scale();
   for (std::size_t k = 0; k < step.rounds.size(); ++k) take_round(k, tau, servo);
   take_end();
   if (step.repaired > 0) approximate("an answer that was repaired or blended");
-  if (step.keeps_energy) approximate("gaps that are left for the sake of the energy");
+  if (step.keeps_energy && !step.contacts.empty()) approximate("gaps that are left for the sake of the energy");
   if (error_ > kLaw) approximate("impulses that do not satisfy the law of contact");
   if (margin_ < kOnCone) approximate("a contact between two of open, sticking and slipping");
 }
@@ -65,10 +68,12 @@ void DenseStepTangent::set_scale() {
   const DenseStepRecord& s = *record_;
   const DenseStepRecord::Place& free = s.places[0];
   scale_ = {};
-  if (rows_ == 0) return;
-  scale_.impulse = std::max(s.lambda.lpNorm<Eigen::Infinity>(), s.plastic.lpNorm<Eigen::Infinity>());
-  scale_.speed = std::max((s.W0.transpose() * v0_).lpNorm<Eigen::Infinity>(),
-                          (s.W0.transpose() * free.v).lpNorm<Eigen::Infinity>());
+  const int others = rows_ - constraints_;
+  if (others == 0) return;
+  scale_.impulse =
+      std::max(s.lambda.tail(others).lpNorm<Eigen::Infinity>(), s.plastic.tail(others).lpNorm<Eigen::Infinity>());
+  const auto W = s.W0.rightCols(others).transpose();
+  scale_.speed = std::max((W * v0_).lpNorm<Eigen::Infinity>(), (W * free.v).lpNorm<Eigen::Infinity>());
   for (std::size_t i = 0; i < s.contacts.size(); ++i)
     scale_.speed = std::max(scale_.speed, std::abs(free.end[i].gap - s.contacts[i].allowed) / s.h);
 }
@@ -111,6 +116,9 @@ void DenseStepTangent::take_geometry() {
   dt1_.assign(n, Vec3::Zero());
   dW0_.setZero(scene_->tree.nv, rows_);
   dW1_.setZero(scene_->tree.nv, rows_);
+  if (constraints_ == 0) return;
+  start_constraints_.take(s.q0, s.t);
+  end_constraints_.take(s.places.back().q, s.t + s.h);
 }
 
 void DenseStepTangent::take_masses(const VecX& tau, const Servo* servo) {
@@ -120,7 +128,38 @@ void DenseStepTangent::take_masses(const VecX& tau, const Servo* servo) {
   integrate(scene_->tree, s.q0, v0_, 0.5 * s.h, q_stage_);
   D_.compute(s.D);
   DinvW_ = D_.solve(s.W0);
-  if (!s.contacts.empty()) step_masses_.take(s, tau, servo, v0_);
+  if (has_friction_) step_masses_.take(s, tau, servo, v0_);
+}
+
+void DenseStepTangent::take_free(const VecX& tau, const Servo* servo) {
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Place& place = s.places[0];
+  VecX p = s.p0;
+  if (constraints_ > 0) p += s.W0.leftCols(constraints_) * place.lambda.head(constraints_);
+  free_.take(s.q0, p, s.h, tau, s.t, servo, place.v);
+  if (constraints_ == 0) return;
+  MatX P;
+  unit_changes(free_, constraints_, free_constraints_.Q, P, free_constraints_.V);
+  free_constraints_.system.compute(place.W.leftCols(constraints_).transpose() * free_constraints_.Q / s.h,
+                                   constraints_);
+}
+
+// Of a step: the changes of its end, of the momentum there and of the velocity per unit of the first impulses.
+void DenseStepTangent::unit_changes(StepTangent& step, int rows, MatX& Q, MatX& P, MatX& V) {
+  const int n = scene_->tree.nv;
+  for (MatX* X : {&Q, &P, &V}) X->resize(n, rows);
+  StepDirection unit;
+  VecX dq(n), dp(n), dv(n);
+  for (int row = 0; row < rows; ++row) {
+    unit.p = record_->W0.col(row);
+    if (!step.solve(unit, dq, dp))
+      refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+             "Use a smaller dt");
+    step.velocity_change(0, dv);
+    Q.col(row) = dq;
+    P.col(row) = dp;
+    V.col(row) = dv;
+  }
 }
 
 void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* servo) {
@@ -128,7 +167,6 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   const DenseStepRecord::Round& r = s.rounds[k];
   const DenseStepRecord::Place &about = s.places[r.about], &slips = s.places[r.slips], &next = s.places[k + 1];
   Round& round = rounds_[k];
-  const int n = scene_->tree.nv;
   round.lambda = k + 1 == s.rounds.size() ? s.lambda : next.lambda;
   VecX w = s.W0.transpose() * r.v;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
@@ -142,28 +180,12 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
     for (int t = c.row + 1; t < c.row + 3; ++t) w[t] += 0.5 * (slips.W.col(t) - s.W0.col(t)).dot(slips.v);
   }
   VecX box = VecX::Zero(rows_);
-  for (std::size_t j = 0; j < s.joints.size(); ++j) box[static_cast<Eigen::Index>(j)] = 0.5 * s.h * s.joints[j].limit;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) box[s.row_of(j)] = 0.5 * s.h * s.joints[j].limit;
   round.law.take_law(s, r.lambda, w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, scale_);
   if (has_friction_) note(round.law);
-  if (!s.contacts.empty()) {
-    round.mass_effect = step_masses_.effect(r.v - s.places[r.anew ? 0 : r.about].v);
-  } else {
-    round.mass_effect.setZero(n, 3 * n + 1);
-  }
+  if (has_friction_) round.mass_effect = step_masses_.effect(r.v - s.places[r.anew ? 0 : r.about].v);
   round.step.take(s.q0, s.p0 + s.W0 * round.lambda, s.h, tau, s.t, servo, next.v);
-  for (MatX* X : {&round.Q, &round.P, &round.V}) X->resize(n, rows_);
-  StepDirection unit;
-  VecX dq(n), dp(n), dv(n);
-  for (int row = 0; row < rows_; ++row) {
-    unit.p = s.W0.col(row);
-    if (!round.step.solve(unit, dq, dp))
-      refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
-             "Use a smaller dt");
-    round.step.velocity_change(0, dv);
-    round.Q.col(row) = dq;
-    round.P.col(row) = dp;
-    round.V.col(row) = dv;
-  }
+  unit_changes(round.step, rows_, round.Q, round.P, round.V);
   std::vector<double> gaps;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) gaps.push_back(next.end[i].gap - s.contacts[i].allowed);
   round.gaps.take_gaps(s, round.lambda, gaps, next.W.transpose() * round.Q / s.h);
@@ -173,13 +195,17 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
 // What the laws leave open must have no effect. Where it has, the solver's way decides about the motion.
 void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) {
   const MatX& free = laws.free();
-  if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
+  if (free.cols() > 0 && (effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())
+    refuse_shared("The motion depends on how contact points share their load",
+                  "points that turn while they slip, or land together", "Use fewer points (contact_points=3)");
+}
+
+void DenseStepTangent::refuse_shared(const char* fact, const char* got, const char* remedy) {
   approximate("points whose shares of a load decide about the motion");
   if (take_branch_) return;
-  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
-         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
-         "points that turn while they slip, or land together",
-         "Use fewer points (contact_points=3), or on_kink='taken' for the derivative with impulses of least norm");
+  const std::string other = ", or on_kink='taken' for the derivative with impulses of least norm";
+  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard, fact,
+         "a motion that the laws of contact determine", got, (remedy + other).c_str());
 }
 
 // Friction is found by the law and stays in the gap iterations, where it bounds normal impulses: how points share it
@@ -211,7 +237,7 @@ void DenseStepTangent::take_end() {
   plastic_.lambda = s.plastic;
   plastic_.v = s.v_plastic;
   VecX box = none, low = none;
-  for (std::size_t j = 0; j < s.joints.size(); ++j) box[static_cast<Eigen::Index>(j)] = 0.5 * s.h * s.joints[j].limit;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) box[s.row_of(j)] = 0.5 * s.h * s.joints[j].limit;
   // A contact that takes no part is open: its speed is as large as can be.
   const auto speeds = [&](const VecX& v) {
     VecX w = s.W1.transpose() * v;
@@ -226,7 +252,7 @@ void DenseStepTangent::take_end() {
   for (const DenseStepRecord::Contact& c : s.contacts)
     if (c.expands) low[c.row] = c.restitution * (s.lambda[c.row] + s.plastic[c.row]);
   for (std::size_t j = 0; j < s.joints.size(); ++j) {
-    const auto r = static_cast<Eigen::Index>(j);
+    const Eigen::Index r = s.row_of(j);
     box[r] = std::max(kLeastDivisor, box[r] - std::abs(s.plastic[r]));
   }
   expansion_.lambda = s.plastic + s.expansion;
@@ -234,7 +260,33 @@ void DenseStepTangent::take_end() {
   expansion_.laws.take_law(s, s.expansion, speeds(s.v_expansion), G_, low, box, scale_);
   note(expansion_.laws);
   check_shared(expansion_.laws, MinvW_);
+  check_expansion();
   if (s.expanded < 1.0) take_energy();
+}
+
+// Restitution depends on the normal impulses themselves, also where the motion before it does not.
+void DenseStepTangent::check_expansion() {
+  const DenseStepRecord& s = *record_;
+  const Round& last = rounds_[s.rounds.size() - 1];
+  const double all = MinvW_.cwiseAbs().maxCoeff();
+  const auto check = [&](const VecX& lambda, bool at_end) {
+    VecX known = VecX::Zero(rows_);
+    for (const DenseStepRecord::Contact& c : s.contacts)
+      if (c.expands) known[c.row] = c.restitution * lambda[c.row];
+    for (std::size_t j = 0; at_end && j < s.joints.size(); ++j)
+      known[s.row_of(j)] = -std::copysign(1.0, s.plastic[s.row_of(j)]) * lambda[s.row_of(j)];
+    if ((MinvW_ * expansion_.laws.from_known(known)).cwiseAbs().maxCoeff() > kShared * all)
+      refuse_shared("Restitution depends on how an impulse is shared",
+                    "points that land together, or friction of a mechanism with one motion",
+                    "Use fewer points (contact_points=3), no friction or no restitution");
+  };
+  for (Eigen::Index k = 0; k < plastic_.laws.free().cols(); ++k) check(plastic_.laws.free().col(k), true);
+  for (Eigen::Index k = 0; k < last.gaps.free().cols(); ++k) check(last.gaps.free().col(k), false);
+  for (Eigen::Index k = 0; has_friction_ && k < last.law.free().cols(); ++k) {
+    VecX known = last.law.free().col(k);
+    low_changes(last, VecX(), known);
+    check(last.gaps.from_known(known), false);
+  }
 }
 
 // An expansion that was cut keeps the energy of the start.

@@ -9,6 +9,8 @@
 //            L_t = L_a,t and the L_n that close loaded gaps: the next place
 //   end      v' = M1^-1 (p1- + W1^T L'), the whole law for L' and w = W1 v'
 //   restitution: the same for L'' >= e (L + L'), of which a share is taken that just keeps the energy
+// Constraints phi(q, t) = 0 are rows Phi without a cone in all of these: the smooth steps, the first one too, end on
+// them, phi(q_p, t1) = 0, the law keeps Phi0 (v_a - v_r) = 0, and at the end Phi1 v + d phi/dt = 0.
 // Where several points share a load, the impulses are those of least norm.
 #pragma once
 
@@ -17,6 +19,7 @@
 
 #include "contact/dense_step_record.hpp"
 #include "geometry/contact_tangent.hpp"
+#include "model/constraint_tangent.hpp"
 #include "sensitivity/dense_laws.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/step_masses.hpp"
@@ -27,10 +30,10 @@ namespace contactvi {
 
 // A direction in all that a dense step depends on; what is empty does not change.
 struct DenseStepDirection {
-  VecX q, p;  // of the start, (nv,)
-  double h = 0.0;
-  VecX tau;    // public coordinates, (nv,)
-  VecX mu, e;  // of the contacts
+  VecX q, p;                // of the start, (nv,)
+  double t = 0.0, h = 0.0;  // time of the start, of which constraints may be functions, and length
+  VecX tau;                 // public coordinates, (nv,)
+  VecX mu, e;               // of the contacts
   const StepParameters* parameters = nullptr;
   double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
 };
@@ -72,6 +75,12 @@ class DenseStepTangent {
     double gap = 0.0;
     Vec3 normal = Vec3::Zero();
   };
+  // The step without other impulses than those of the constraints: its changes per unit of each of these, and the
+  // equations for them.
+  struct Free {
+    MatX Q, V;
+    SharedLoad system;
+  };
   struct Round {
     explicit Round(const Tree& tree) : step(tree, 1) {}
     DenseLaws law, gaps;
@@ -92,11 +101,15 @@ class DenseStepTangent {
   void approximate(const char* why) { approximate_ = *approximate_ == 0 ? why : approximate_; }
   void take_geometry();
   void take_masses(const VecX& tau, const Servo* servo);
+  void take_free(const VecX& tau, const Servo* servo);
   void take_round(std::size_t k, const VecX& tau, const Servo* servo);
+  void unit_changes(StepTangent& step, int rows, MatX& Q, MatX& P, MatX& V);
   void take_end();
   void take_energy();
   void check_shared(const DenseLaws& laws, const MatX& effect);
+  void refuse_shared(const char* fact, const char* got, const char* remedy);
   void check_round(const Round& round);
+  void check_expansion();
   void set_start_rows(const VecX& dq0);
   void add_found_rows(int place, const VecX& dq);
   void set_law_change(std::size_t contact, const Contact& at, const VecX& dq);
@@ -108,6 +121,8 @@ class DenseStepTangent {
   void slip_change(int place, const VecX& dq, const VecX& dv, VecX& dslip);
   void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
   double allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const;
+  VecX end_times(const DenseStepDirection& d) const;
+  void solve_free(const DenseStepDirection& d, const VecX& dq0);
   void solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0);
   void check_held_gaps(const Round& round, const DenseStepDirection& d, const VecX& dlaw, const VecX& dlambda);
   void low_changes(const Round& round, const VecX& mu, VecX& known) const;
@@ -121,7 +136,9 @@ class DenseStepTangent {
   bool take_branch_;
   Integrator start_masses_, masses_;
   StepMasses step_masses_;
-  StepTangent free_;
+  StepTangent free_;  // the step without other impulses than those of the constraints
+  Free free_constraints_;
+  ConstraintTangent start_constraints_, end_constraints_;
   std::deque<Round> rounds_;
   const DenseStepRecord* record_ = nullptr;
   BodyTwists twists_;
@@ -130,7 +147,7 @@ class DenseStepTangent {
   std::vector<std::vector<ContactTangent>> slip_;    // per place with which slips are made
   double margin_ = 1.0, error_ = 0.0;
   const char* approximate_ = "";
-  int rows_ = 0;
+  int rows_ = 0, constraints_ = 0;  // constraints_: how many of the rows are those of constraints
   DenseLaws::Scale scale_{};
   bool has_friction_ = false;
   VecX v0_, q_stage_;  // at the start; of the stage where D is made

@@ -14,6 +14,7 @@ import contactvi as cvi
 from derivatives.differences import FOURTH, transpose_error
 from derivatives.test_persistent_sensitivity import MOVING, Start, arm, at_limit, ball_on_ball, body, trough
 from helpers.grasp_scene import closed, grasp
+from helpers.loop_scenes import arm_scene
 
 DENSE = {"contact_mode": "steps", "tol": 1e-15}
 LANDS = "points whose shares of a load decide about the motion"
@@ -146,6 +147,7 @@ def test_bodies_and_robots(name):
     compare(S, start, directions, (1e-5, 5e-6) if small else (1e-4, 5e-5), options)
 
 
+@pytest.mark.filterwarnings("ignore::contactvi.ApproximateDerivativeWarning")
 @pytest.mark.parametrize("name", RUNS)
 def test_the_gradient_of_a_cost_is_the_transpose(name):
     scene, q, v = RUNS[name][0]()
@@ -154,6 +156,17 @@ def test_the_gradient_of_a_cost_is_the_transpose(name):
     wrt += ["friction"] if scene.pair_friction.max(initial=0.0) > 0.0 else []
     wrt += ["restitution"] if scene.pair_restitution.max(initial=0.0) > 0.0 else []
     assert transpose_error(traj, wrt) <= 1e-11
+
+
+@pytest.mark.parametrize(("friction", "v"), [(20.0, [0.0, 1.0]), (6.0, [0.3, 1.0])], ids=["stays", "comes to rest"])
+def test_a_joint_that_sticks_where_nothing_touches(friction, v):
+    scene = arm_scene(2)
+    scene.set_joint("j1", friction=friction)
+    start, options = (scene, np.array([0.3, 0.4]), np.array(v)), {"duration": 0.05, "dt": 0.01, **DENSE}
+    traj = cvi.simulate(*start, record="gradient", **options)
+    assert traj.v[-1, 0] == pytest.approx(0.0, abs=1e-14)
+    compare(traj.sensitivity(), start, np.eye(4), (1e-4, 5e-5), options)
+    assert transpose_error(traj, ["q0", "v0", "control"]) <= 1e-11
 
 
 @pytest.mark.parametrize(

@@ -225,8 +225,8 @@ def winch(t: float) -> tuple[float, float, float]:
     return 0.35 + 0.05 * math.sin(9 * t), 0.45 * math.cos(9 * t), -4.05 * math.sin(9 * t)
 
 
-def driven_arm_at_wall(restitution: float, friction: float) -> Start:
-    """An arm of three joints, whose first one is driven, swings its tip on a wall."""
+def arm_over_floor(restitution: float, friction: float) -> cvi.Scene:
+    """An arm of three joints, whose tip is round."""
     model = pin.Model()
     parent, place = 0, pin.SE3.Identity()
     for k in range(3):
@@ -241,8 +241,102 @@ def driven_arm_at_wall(restitution: float, friction: float) -> Start:
     scene = cvi.Scene.from_pinocchio(model, geometry, name="arm")
     scene.add_halfspace([0.0, 0.0, 1.0], -0.5, name="floor")
     scene.set_contact(restitution=restitution, friction=friction)
+    return scene
+
+
+def driven_arm_at_wall(restitution: float, friction: float) -> Start:
+    """An arm of three joints, whose first one is driven, swings its tip on a wall."""
+    scene = arm_over_floor(restitution, friction)
     scene.prescribe("j1", lambda t: (0.1 + crank(t)[0], *crank(t)[1:]))
     return scene, np.array([0.1, 0.2, -0.3]), np.array([0.6, 0.2, 0.4])
+
+
+def following_finger(restitution: float, friction: float, joint_friction: float = 0.0) -> Start:
+    """An arm of three joints, whose last one follows the one before, that drops its tip on the floor."""
+    scene = arm_over_floor(restitution, friction)
+    scene.add_joint_equality("j3", "j2", (-0.4, 0.5, 0.3))
+    scene.set_joint("j1", friction=joint_friction)
+    return scene, scene.assemble(np.array([0.1, 0.2, -0.3])), np.array([0.6, 0.2, 0.1])
+
+
+def five_bar_leg(restitution: float, friction: float, joint_friction: float = 0.0) -> Start:
+    """A free body on a leg of four rods that close a loop at the foot, a ball, which drops on the ground."""
+    model = pin.Model()
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, pin.Inertia(2.0, np.zeros(3), np.diag([0.02, 0.03, 0.025])), pin.SE3.Identity())
+    rod = pin.Inertia(0.5, np.array([0.1, 0.0, 0.0]), np.diag([1e-3, 4e-3, 4e-3]))
+    for side, x in (("left", -0.05), ("right", 0.05)):
+        parent, place = base, pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        for part in ("thigh", "shank"):
+            parent = model.addJoint(parent, pin.JointModelRY(), place, f"{side} {part}")
+            model.appendBodyToJoint(parent, rod, pin.SE3.Identity())
+            model.addFrame(pin.Frame(f"{side}_{part}", parent, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+            place = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.0]))
+    geometry = pin.GeometryModel()
+    geometry.addGeometryObject(pin.GeometryObject("foot", parent, place, coal.Sphere(0.03)))
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    scene = cvi.Scene.from_pinocchio(model, geometry, name="leg")
+    scene.add_halfspace(name="ground")
+    scene.add_point("left_shank", "right_shank", (0.2, 0.0, 0.0), (0.2, 0.0, 0.0), name="foot")
+    scene.set_contact(restitution=restitution, friction=friction)
+    for name in ("left thigh", "right thigh"):
+        scene.set_joint(name, stiffness=20.0, damping=0.1, friction=joint_friction)
+    q = scene.assemble(
+        scene.configuration({"left thigh": 2.2, "left shank": -1.1, "right thigh": 0.9, "right shank": 1.1})
+    )
+    q[2] = 0.38
+    return scene, q, np.array([0.4, 0.1, -0.3, 0.2, -0.3, 0.4, 0.5, -0.4, 0.3, 0.6])
+
+
+def gripper(friction: float, joint_friction: float = 0.0) -> Start:
+    """A ball between a finger that is driven and one on a spring, which close on it and shake it."""
+    model = pin.Model()
+    geometry = pin.GeometryModel()
+    for name, x in (("driven", -0.08), ("sprung", 0.07)):
+        joint = model.addJoint(0, pin.JointModelPX(), pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), name)
+        model.appendBodyToJoint(joint, pin.Inertia(0.4, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+        shape = pin.GeometryObject(f"{name} finger", joint, pin.SE3.Identity(), coal.Box(0.02, 0.3, 0.3))
+        geometry.addGeometryObject(shape)
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    scene = cvi.Scene.from_pinocchio(model, geometry, name="gripper")
+    scene.add_sphere("ball", 0.05, mass=0.2)
+    scene.disable_pair("driven finger", "sprung finger")
+    scene.set_contact(restitution=0.0, friction=friction)
+    scene.set_joint("sprung", stiffness=400.0, rest=-0.03, damping=2.0, friction=joint_friction)
+    scene.prescribe("driven", lambda t: (0.03 * math.sin(12 * t), 0.36 * math.cos(12 * t), -4.32 * math.sin(12 * t)))
+    q = scene.assemble()
+    q[2:5] = [0.0, 0.01, 0.02]
+    return scene, q, np.array([0.36, -0.1, 0.1, 0.2, 0.3, 1.0, -2.0, 0.5])
+
+
+def welded_boxes(restitution: float, friction: float) -> Start:
+    """Two boxes with a weld between them that drop on a corner."""
+    scene = cvi.Scene()
+    base = pin.SE3(pin.exp3(np.array([0.4, 0.6, 0.1])), np.array([0.0, 0.0, 0.18]))
+    scene.add_box("a", (0.1, 0.1, 0.1), mass=1.0, placement=base)
+    scene.add_box("b", (0.1, 0.08, 0.06), mass=0.5, placement=base * pin.SE3(np.eye(3), np.array([0.15, 0.0, 0.02])))
+    scene.disable_pair("a", "b")
+    scene.add_weld("a", "b", name="weld")
+    scene.add_halfspace(name="ground")
+    scene.set_contact(restitution=restitution, friction=friction)
+    return scene, scene.assemble(), np.r_[0.5, 0.2, -1.0, 0.5, -1.0, 0.7, 0.5, 0.2, -1.0, 0.5, -1.0, 0.7]
+
+
+def balls_on_a_lift(restitution: float, friction: float) -> Start:
+    """Two balls that fall on a plate which goes up and down, one shortly after the other."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    geometry = pin.GeometryModel()
+    geometry.addGeometryObject(pin.GeometryObject("plate", joint, pin.SE3.Identity(), coal.Box(2.0, 2.0, 0.02)))
+    scene = cvi.Scene.from_pinocchio(model, geometry, name="lift")
+    for k in range(2):
+        scene.add_sphere(f"ball_{k}", 0.05, mass=0.3)
+    scene.set_contact(restitution=restitution, friction=friction)
+    scene.prescribe("lift", lambda t: (0.03 * math.sin(9 * t), 0.27 * math.cos(9 * t), -2.43 * math.sin(9 * t)))
+    q, v = pin.neutral(scene.model), np.r_[0.27, [0.3, 0.1, -0.3, 1.0, 2.0, 0.5] * 2]
+    q[1:4], q[8:11] = [0.0, 0.0, 0.065], [0.3, 0.1, 0.067]
+    return scene, q, v
 
 
 def on_constraints(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

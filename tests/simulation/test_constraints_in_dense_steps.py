@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from helpers import constrained_scenes
 
 G = 9.81
 pytestmark = pytest.mark.filterwarnings("ignore::contactvi.DenseStepWarning")
@@ -129,6 +130,18 @@ def test_the_order_with_a_loop():
     ]
     np.testing.assert_allclose(runs[1].q, runs[0].q, atol=1e-10)
     np.testing.assert_allclose(runs[1].v, runs[0].v, atol=1e-9)
+
+
+@pytest.mark.parametrize("dt", [1e-2, 1e-3, 1e-4])
+def test_a_plane_loop_on_a_body_that_hardly_tilts(dt):
+    """A row of its constraint, across its plane, is zero or nearly so, and depends on the other two."""
+    scene, q0, _ = constrained_scenes.five_bar_leg(0.0, 0.5)
+    v0 = np.zeros(scene.nv)
+    v0[3] = 1e-6
+    runs = [cvi.simulate(scene, q0, v0, duration=0.03, dt=dt, contact_mode=mode) for mode in ("events", "steps")]
+    assert runs[1].stats.halved == 0
+    assert 1e-9 < np.abs(runs[1].q[-1, 3]) < 1e-7
+    np.testing.assert_allclose(runs[1].q[-1], runs[0].q[-1], atol=2e-7)
 
 
 def test_what_cannot_give_way_is_named():

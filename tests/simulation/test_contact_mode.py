@@ -174,15 +174,6 @@ def test_steps_alone_are_refused(options):
     assert "dt=1e-3" in caught.value.remedy
 
 
-def test_steps_alone_with_constraints_have_no_derivative():
-    scene = ball_scene(restitution=0.5)
-    scene.add_distance("world", "ball", point_a=(0.0, 0.0, 3.0))
-    with pytest.raises(cvi.InputError, match="have no derivative") as caught:
-        cvi.simulate(scene, duration=0.1, dt=1e-3, contact_mode="steps", record="gradient")
-    assert caught.value.name == "contact_mode"
-    assert caught.value.remedy
-
-
 def test_an_unknown_mode_is_refused():
     with pytest.raises(cvi.InputError, match="'dense'") as caught:
         cvi.simulate(ball_scene(restitution=0.5), duration=0.1, dt=1e-3, contact_mode="dense")
