@@ -91,8 +91,9 @@ void DenseStep::note(const BlockResult& result) {
   counters.factorizations += result.factors;
 }
 
-// The whole law of the present problem from the impulses lambda_, for the velocity v.
-BlockResult DenseStep::solve_law(double bound_energy, VecX& v) {
+// The whole law of the present problem from the impulses lambda_, for the velocity v, with the constraints of a node.
+BlockResult DenseStep::solve_law(double bound_energy, VecX& v, const Constraints& node) {
+  if (problems_) problems_->add(ProblemLog::Blocks{rows_.problem(), node.W, lambda_, bound_energy});
   const BlockResult result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
   note(result);
   return result;
@@ -322,7 +323,7 @@ bool DenseStep::position_problem() {
   for (int k = 0;; ++k) {
     work_ = v_;
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
-    result = solve_law(INFINITY, v_);
+    result = solve_law(INFINITY, v_, start_);
     if (!v_.allFinite()) return fail("a number is not finite");
     if (recorder_) recorder_->take_law(lambda_, v_);
     work_ = v_ - work_;
@@ -417,7 +418,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v1_;
   solver_.prepare(problem);
-  account(solve_law(bound_energy, v1_));
+  account(solve_law(bound_energy, v1_, end_));
   rows_.add_impulses(lambda_, p1_);
   if (recorder_) recorder_->take_plastic(active_, lambda_, v1_);
   lambda_end_ = lambda_;
@@ -447,7 +448,7 @@ void DenseStep::expand(double bound_energy) {
   }
   problem.v_free = v1_;
   const VecX plastic = v1_;
-  account(solve_law(INFINITY, v1_));
+  account(solve_law(INFINITY, v1_, end_));
   // Energy, cone and gaps are convex conditions: a share of the expansion keeps them as the whole and none of it do.
   const double share = kinetic_share(problem, plastic, v1_, bound_energy);
   if (recorder_) recorder_->take_expansion(active_, lambda_, v1_, share);
