@@ -131,15 +131,22 @@ def linkage(lengths: tuple[float, ...], restitution: float, friction: float, joi
     return scene, q, np.zeros(scene.nv)
 
 
-def crank() -> Start:
-    """A driven crank pushes a slider by a rod, and that a box over the ground, off its middle."""
+def crank(feet: int) -> Start:
+    """A driven crank pushes a slider by a rod, and that a table on three or four round feet, off its middle."""
     shapes = pin.GeometryModel()
     model = rods(shapes, (0.1, 0.3), 0.0)
     slider = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slider")
     model.appendBodyToJoint(slider, pin.Inertia.FromSphere(0.2, 0.04), pin.SE3.Identity())
     shapes.addGeometryObject(pin.GeometryObject("head", slider, pin.SE3.Identity(), coal.Sphere(0.04)))
+    table = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "table")
+    model.appendBodyToJoint(table, pin.Inertia.FromBox(1.0, 0.1, 0.1, 0.08), pin.SE3.Identity())
+    shapes.addGeometryObject(pin.GeometryObject("top", table, pin.SE3.Identity(), coal.Box(0.1, 0.1, 0.06)))
+    front = [(0.04, 0.0)] if feet == 3 else [(0.04, -0.04), (0.04, 0.04)]
+    places = [(-0.04, -0.04), (-0.04, 0.04), *front]
+    for k, (x, y) in enumerate(places):
+        at = pin.SE3(np.eye(3), np.array([x, y, -0.04]))
+        shapes.addGeometryObject(pin.GeometryObject(f"foot{k}", table, at, coal.Sphere(0.01)))
     scene = cvi.Scene.from_pinocchio(model, shapes, name="crank")
-    scene.add_box("box", size=(0.1, 0.1, 0.1), mass=1.0)
     scene.add_point("slider", "j2", (0.0, 0.0, 0.0), (0.3, 0.0, 0.0), name="loop")
     scene.add_halfspace(UP, -0.05, name="ground")
 
@@ -149,8 +156,9 @@ def crank() -> Start:
 
     scene.prescribe("j1", turn)
     scene.set_contact(restitution=0.0, friction=0.4)
-    q = scene.configuration({"j1": math.pi, "j2": -math.pi, "slider": 0.2, "box": ((0.3, 0.01, 0.0), (0.0, 0.0, 0.0))})
-    return scene, q, np.zeros(scene.nv)
+    scene.set_contact("head", "top", friction=0.0)
+    start = {"j1": math.pi, "j2": -math.pi, "slider": 0.2, "table": ((0.29, 0.01, 0.0), (0.0, 0.0, 0.0))}
+    return scene, scene.configuration(start), np.zeros(scene.nv)
 
 
 def gripper() -> Start:
@@ -190,7 +198,8 @@ SCENES: dict[str, tuple[Callable[[], Start], float]] = {
     "four-bar linkage that lands": (lambda: linkage((0.4, 0.4, 0.4), 0.0, 0.3), 0.5),
     "five-bar linkage that lands": (lambda: linkage((0.3, 0.3, 0.3, 0.3), 0.0, 0.3), 0.5),
     "five-bar linkage, joint friction": (lambda: linkage((0.3, 0.3, 0.3, 0.3), 0.0, 0.3, 0.05), 0.5),
-    "crank that pushes a box": (crank, 0.5),
+    "crank that pushes a table on three feet": (lambda: crank(3), 0.5),
+    "crank that pushes a table on four feet": (lambda: crank(4), 0.5),
     "gripper with coupled fingers": (gripper, 0.4),
 }
 

@@ -49,7 +49,9 @@ def test_of_a_box_at_rest_the_impulses_bear_the_weight():
 
 @pytest.mark.parametrize("mode", ["steps", "events"])
 def test_equations_hold_and_add_impulses_of_their_own(mode: str):
-    problems = record(*joined_balls(0.5), 0.1, H, mode, count=10)
+    scene, q, v = joined_balls(0.5)
+    q = scene.assemble(q)
+    problems = record(scene, q, scene.consistent_velocity(q, v), 0.1, H, mode, count=10)
     assert len(problems) == 10
     for p in problems:
         A = p.equations
