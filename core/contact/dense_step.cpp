@@ -514,7 +514,8 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
     report_.energy_error += take_reactions();
     if (!constraints_met()) return fail("the constraints cannot be met");
   }
-  joint_friction_loss_ -= joint_friction_work(lambda_end_, v1_);
+  // Both impulses with the displacement of the step, as in contact steps: the friction is constant along it.
+  joint_friction_loss_ -= joint_friction_work(lambda_end_, v_);
   set_results(lambda_end_);
   const double change = 0.5 * p1_.dot(v1_) + middle.potential - total(before) -
                         (integrator_.work() + driven_work() - joint_friction_loss_);
