@@ -362,9 +362,9 @@ class Scene:
 class BlockContacts:
     """A contact problem of many blocks and its solver, for tests."""
 
-    def __init__(self, sizes: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], masses: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.int32], dict(shape=(None, 2), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], box: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], W: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v_free: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+    def __init__(self, sizes: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], masses: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.int32], dict(shape=(None, 2), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], box: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], W: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v_free: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], equations: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')] | None = None) -> None:
         """
-        sizes (b,): degrees of freedom of each block; masses: their matrices, one after the other [kg]; blocks (m, 2): the blocks of each contact, -1 for the world as second; rows (m,): 3 (n, t1, t2) or 1; mu (m,), lower (m,) [N s], box (m,) [N s], > 0 for joint friction; W: per contact rows x size of the first block, then rows x size of the second; v_free (nv,) and offset (rows,) [m/s].
+        sizes (b,): degrees of freedom of each block; masses: their matrices, one after the other [kg]; blocks (m, 2): the blocks of each contact, -1 for the world as second; rows (m,): 3 (n, t1, t2) or 1; mu (m,), lower (m,) [N s], box (m,) [N s], > 0 for joint friction; W: per contact rows x size of the first block, then rows x size of the second; v_free (nv,) and offset (rows,) [m/s]; equations (nv, m): W_e^T v stays what it is in v_free. With them, m = 0 too, the problem is reduced first as in dense steps (ReducedSolver).
         """
 
     def set_free(self, v_free: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
@@ -396,12 +396,12 @@ class BlockContacts:
     def seconds_normals(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, tolerance: float = 1e-08, repeats: int = 3) -> float:
         """The same of solve_normals, prepared."""
 
-def solve_cone(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, noise: float = 0.0, accept: float = 1e-12) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool, float, int, int]:
+def solve_cone(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, noise: float = 0.0, accept: float = 1e-12, box: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool, float, int, int]:
     """
-    Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) [1/kg], b (m,) [m/s], mu (n,), lower (n,) [N s] bounds of the normal impulses, frozen (n, 2) unit slip directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree, accept: residual below which no other starts are tried. Returns (lambda (m,) [N s], ok, relative residual, Newton iterations, fallbacks).
+    Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) [1/kg], b (m,) [m/s], mu (n,), lower (n,) [N s] bounds of the normal impulses, frozen (n, 2) unit slip directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree, accept: residual below which no other starts are tried, box (n,) [N s] > 0 for rows of joint friction. Returns (lambda (m,) [N s], ok, relative residual, Newton iterations, fallbacks).
     """
 
-def cone_seconds(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, calls: int = 100, repeats: int = 5) -> float:
+def cone_seconds(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, calls: int = 100, repeats: int = 5, box: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None) -> float:
     """
     Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.
     """
@@ -684,6 +684,16 @@ class Simulator:
     def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None, part: float = 1.0, sample: float = 0.0, after_impact: int = 1) -> tuple[KeptRun, object]:
         """
         Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end of its step. Return (KeptRun, error of a callback or None).
+        """
+
+    def keep_problems(self) -> None:
+        """
+        From now on the contact problems of steps are kept for take_problems().
+        """
+
+    def take_problems(self) -> dict[str, Any]:
+        """
+        Return the contact problems kept since the last call, in their order: "dense", those of dense steps, with the arguments of BlockContacts, start (rows,) [N s] and bound [J]; "contact", those of contact steps, with G (m, m), b (m,), start (m,), whose first rows are those of `equations` constraints, then the contacts' arguments of solve_cone.
         """
 
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict[str, Any]:

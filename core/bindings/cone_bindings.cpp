@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <tuple>
 #include <vector>
@@ -17,6 +18,7 @@
 #include "cone/block_solver.hpp"
 #include "cone/block_system.hpp"
 #include "cone/interior_point.hpp"
+#include "cone/reduced_solver.hpp"
 #include "cone/solver.hpp"
 
 namespace nb = nanobind;
@@ -31,10 +33,10 @@ using Directions = Eigen::Matrix<double, Eigen::Dynamic, 2>;
 using Solution = std::tuple<VecX, bool, double, int, int>;
 
 std::vector<ConeContact> contacts_of(const IndexVector& rows, const VecX& mu, const VecX& lower,
-                                     const std::optional<Directions>& frozen) {
+                                     const std::optional<Directions>& frozen, const std::optional<VecX>& box) {
   const Eigen::Index n = rows.size();
-  if (mu.size() != n || lower.size() != n || (frozen && frozen->rows() != n))
-    throw Error("expected rows, mu, lower (n,) and frozen (n, 2) or None for n contacts");
+  if (mu.size() != n || lower.size() != n || (frozen && frozen->rows() != n) || (box && box->size() != n))
+    throw Error("expected rows, mu, lower (n,), frozen (n, 2) or None, box (n,) or None for n contacts");
   std::vector<ConeContact> contacts(n);
   int row = 0;
   for (Eigen::Index i = 0; i < n; ++i) {
@@ -44,6 +46,7 @@ std::vector<ConeContact> contacts_of(const IndexVector& rows, const VecX& mu, co
     c.mu = mu[i];
     c.lower = lower[i];
     c.frozen = frozen && !frozen->row(i).array().isNaN().any();
+    if (box) c.box = (*box)[i];
     if (c.frozen) c.d = frozen->row(i).transpose();
     row += c.rows;
   }
@@ -57,8 +60,8 @@ VecX start_of(const std::optional<VecX>& start, Eigen::Index rows) {
 
 Solution solve(const MatX& G, const VecX& b, const IndexVector& rows, const VecX& mu, const VecX& lower,
                const std::optional<Directions>& frozen, const std::optional<VecX>& start, bool regularize, double noise,
-               double accept) {
-  const std::vector<ConeContact> contacts = contacts_of(rows, mu, lower, frozen);
+               double accept, const std::optional<VecX>& box) {
+  const std::vector<ConeContact> contacts = contacts_of(rows, mu, lower, frozen, box);
   VecX lambda = start_of(start, b.size());
   ConeSolver solver;
   solver.reserve(static_cast<int>(b.size()));
@@ -69,8 +72,8 @@ Solution solve(const MatX& G, const VecX& b, const IndexVector& rows, const VecX
 // Seconds per call, of the fastest of several blocks; each call starts from `start` again.
 double seconds(const MatX& G, const VecX& b, const IndexVector& rows, const VecX& mu, const VecX& lower,
                const std::optional<Directions>& frozen, const std::optional<VecX>& start, bool regularize, int calls,
-               int repeats) {
-  const std::vector<ConeContact> contacts = contacts_of(rows, mu, lower, frozen);
+               int repeats, const std::optional<VecX>& box) {
+  const std::vector<ConeContact> contacts = contacts_of(rows, mu, lower, frozen, box);
   const VecX first = start_of(start, b.size());
   VecX lambda = first;
   ConeSolver solver;
@@ -112,7 +115,7 @@ class BlockContacts {
  public:
   BlockContacts(const IndexVector& sizes, const VecX& masses, const IndexPairs& blocks, const IndexVector& rows,
                 const VecX& mu, const VecX& lower, const VecX& box, const VecX& W, const VecX& v_free,
-                const VecX& offset) {
+                const VecX& offset, const std::optional<MatX>& equations) {
     const Eigen::Index m = rows.size();
     if (blocks.rows() != m || mu.size() != m || lower.size() != m || box.size() != m)
       throw Error("expected blocks (m, 2) and rows, mu, lower, box (m,) for m contacts");
@@ -148,7 +151,12 @@ class BlockContacts {
     problem_.W.assign(W.data(), W.data() + W.size());
     problem_.v_free = v_free;
     problem_.offset = offset;
-    solver_.prepare(problem_);
+    if (equations) {
+      if (equations->rows() != v_free.size()) throw Error("expected equations (nv, m)");
+      equations_ = *equations;
+      reduced_ = std::make_unique<ReducedSolver>();
+    }
+    prepare();
   }
   void set_free(const VecX& v_free, const VecX& offset) {
     if (v_free.size() != problem_.v_free.size() || offset.size() != problem_.offset.size())
@@ -159,12 +167,12 @@ class BlockContacts {
   Dict solve(const std::optional<VecX>& start, double bound, double tolerance, double accept, int sweeps,
              int newton_steps, int factors) {
     VecX lambda = start_of(start, problem_.rows()), v = problem_.v_free;
-    const BlockResult r = solver_.solve(problem_, bound, {tolerance, accept, sweeps, newton_steps, factors}, lambda, v);
+    const BlockResult r = run(bound, {tolerance, accept, sweeps, newton_steps, factors}, lambda, v);
     return named(r, std::move(lambda), std::move(v));
   }
   Dict solve_normals(const std::optional<VecX>& start, double tolerance) {
     VecX lambda = start_of(start, problem_.rows()), v = problem_.v_free;
-    const BlockResult r = solver_.solve_normals(problem_, tolerance, lambda, v);
+    const BlockResult r = run_normals(tolerance, lambda, v);
     return named(r, std::move(lambda), std::move(v));
   }
   // The convex problem of frozen slip speeds, cold.
@@ -202,16 +210,28 @@ class BlockContacts {
   double seconds(const std::optional<VecX>& start, double bound, double tolerance, double accept, int sweeps,
                  int newton_steps, int factors, bool prepare, int repeats) {
     return fastest(start, repeats, [&](VecX& lambda, VecX& v) {
-      if (prepare) solver_.prepare(problem_);
-      solver_.solve(problem_, bound, {tolerance, accept, sweeps, newton_steps, factors}, lambda, v);
+      if (prepare) this->prepare();
+      run(bound, {tolerance, accept, sweeps, newton_steps, factors}, lambda, v);
     });
   }
   double seconds_normals(const std::optional<VecX>& start, double tolerance, int repeats) {
-    return fastest(start, repeats,
-                   [&](VecX& lambda, VecX& v) { solver_.solve_normals(problem_, tolerance, lambda, v); });
+    return fastest(start, repeats, [&](VecX& lambda, VecX& v) { run_normals(tolerance, lambda, v); });
   }
 
  private:
+  void prepare() {
+    if (!reduced_) return solver_.prepare(problem_);
+    reduced_->set_equations(problem_, equations_);
+    reduced_->prepare(problem_);
+  }
+  BlockResult run(double bound, const BlockOptions& options, VecX& lambda, VecX& v) {
+    return reduced_ ? reduced_->solve(problem_, bound, options, lambda, v)
+                    : solver_.solve(problem_, bound, options, lambda, v);
+  }
+  BlockResult run_normals(double tolerance, VecX& lambda, VecX& v) {
+    return reduced_ ? reduced_->solve_normals(problem_, tolerance, lambda, v)
+                    : solver_.solve_normals(problem_, tolerance, lambda, v);
+  }
   // Seconds of the fastest of several calls of solve(lambda, v), each from `start` again.
   template <class Solve>
   double fastest(const std::optional<VecX>& start, int repeats, const Solve& solve) {
@@ -243,18 +263,23 @@ class BlockContacts {
   }
   BlockProblem problem_;
   BlockSolver solver_;
+  MatX equations_;
+  std::unique_ptr<ReducedSolver> reduced_;  // null: the BlockSolver itself
 };
 
 void expose_block_contacts(nb::module_& m) {
   const BlockOptions usual;
   nb::class_<BlockContacts>(m, "BlockContacts", "A contact problem of many blocks and its solver, for tests.")
       .def(nb::init<const IndexVector&, const VecX&, const IndexPairs&, const IndexVector&, const VecX&, const VecX&,
-                    const VecX&, const VecX&, const VecX&, const VecX&>(),
+                    const VecX&, const VecX&, const VecX&, const VecX&, const std::optional<MatX>&>(),
            "sizes"_a, "masses"_a, "blocks"_a, "rows"_a, "mu"_a, "lower"_a, "box"_a, "W"_a, "v_free"_a, "offset"_a,
+           "equations"_a = nb::none(),
            "sizes (b,): degrees of freedom of each block; masses: their matrices, one after the other [kg]; blocks "
            "(m, 2): the blocks of each contact, -1 for the world as second; rows (m,): 3 (n, t1, t2) or 1; mu (m,), "
            "lower (m,) [N s], box (m,) [N s], > 0 for joint friction; W: per contact rows x size of the first block, "
-           "then rows x size of the second; v_free (nv,) and offset (rows,) [m/s].")
+           "then rows x size of the second; v_free (nv,) and offset (rows,) [m/s]; equations (nv, m): W_e^T v stays "
+           "what it "
+           "is in v_free. With them, m = 0 too, the problem is reduced first as in dense steps (ReducedSolver).")
       .def("set_free", &BlockContacts::set_free, "v_free"_a, "offset"_a, "New data of the same contacts.")
       .def("solve", &BlockContacts::solve, "start"_a = nb::none(), "bound"_a = std::numeric_limits<double>::infinity(),
            "tolerance"_a = usual.tolerance, "accept"_a = usual.accept, "sweeps"_a = usual.sweeps,
@@ -282,13 +307,15 @@ void expose_cone(nb::module_& m) {
   expose_block_contacts(m);
   m.def("solve_cone", &solve, "G"_a, "b"_a, "rows"_a, "mu"_a, "lower"_a, "frozen"_a = nb::none(),
         "start"_a = nb::none(), "regularize"_a = true, "noise"_a = 0.0, "accept"_a = kConeTolerance,
+        "box"_a = nb::none(),
         "Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) "
         "[1/kg], b (m,) [m/s], mu (n,), lower (n,) [N s] bounds of the normal impulses, frozen (n, 2) unit slip "
         "directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree, accept: residual "
-        "below which no other starts are tried. Returns (lambda (m,) [N s], ok, relative residual, Newton iterations, "
+        "below which no other starts are tried, box (n,) [N s] > 0 for rows of joint friction. Returns (lambda (m,) [N "
+        "s], ok, relative residual, Newton iterations, "
         "fallbacks).");
   m.def("cone_seconds", &seconds, "G"_a, "b"_a, "rows"_a, "mu"_a, "lower"_a, "frozen"_a = nb::none(),
-        "start"_a = nb::none(), "regularize"_a = true, "calls"_a = 100, "repeats"_a = 5,
+        "start"_a = nb::none(), "regularize"_a = true, "calls"_a = 100, "repeats"_a = 5, "box"_a = nb::none(),
         "Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.");
 }
 

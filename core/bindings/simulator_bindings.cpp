@@ -242,6 +242,7 @@ void expose_simulator(nb::module_& m) {
           "Return it as bytes, for this version of the engine.");
   nb::class_<SteppedWorld> simulator(m, "Simulator", nb::type_slots(simulator_slots));
   expose_kept_runs(m, simulator);
+  expose_posed_problems(simulator);
   simulator.def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0,
            "Put the system to (q, v) at t [s]; return the fields of the status.")

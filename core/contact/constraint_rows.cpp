@@ -134,6 +134,7 @@ ConeContact ContactStep::joint_friction_cone(int k, double bound) const {
 bool ContactStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
                              VecX& lambda, bool regularize, const Agreement& agreement) {
   const auto [rough, accept] = agreement;
+  if (problems_) problems_->add(ProblemLog::Rows{cones, G, b, lambda, bilateral_, noise});
   if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough, accept, scene_->tree.nv}, lambda, regularize);
   const VecX& right = reduction_.right_side(b);
   rest_ = lambda.tail(right.size());

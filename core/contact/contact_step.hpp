@@ -22,6 +22,7 @@
 #include "base/extrapolation.hpp"
 #include "base/interpolation.hpp"
 #include "base/reduction.hpp"
+#include "cone/problem_log.hpp"
 #include "cone/solver.hpp"
 #include "contact/contact_step_record.hpp"
 #include "geometry/guard.hpp"
@@ -50,6 +51,8 @@ class ContactStep final : public Stepper {
   bool constrained() const { return bilateral_ > 0; }
   void set_time(double t) { integrator_.set_time(t); }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
+  // From now on the contact problems of steps are kept there; null: no longer.
+  void keep_problems(ProblemLog* log) { problems_ = log; }
   // Nominal length of a step [s], over which errors of the constraints are corrected.
   void set_nominal(double h) { nominal_h_ = h; }
   // To be called after contacts were added or released, or if the state is not the end of the last step.
@@ -224,6 +227,7 @@ class ContactStep final : public Stepper {
   const Scene* scene_;
   Guards* guards_;
   const Manifolds* manifolds_;
+  ProblemLog* problems_ = nullptr;
   ImpulseStep integrator_;
   ConeSolver solver_;
   const costs::Steps costs_;

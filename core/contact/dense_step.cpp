@@ -92,8 +92,9 @@ void DenseStep::note(const BlockResult& result) {
   counters.factorizations += result.factors;
 }
 
-// The whole law of the present problem from the impulses lambda_, for the velocity v.
-BlockResult DenseStep::solve_law(double bound_energy, VecX& v) {
+// The whole law of the present problem from the impulses lambda_, for the velocity v, with the constraints of a node.
+BlockResult DenseStep::solve_law(double bound_energy, VecX& v, const Constraints& node) {
+  if (problems_) problems_->add(ProblemLog::Blocks{rows_.problem(), node.W, lambda_, bound_energy});
   const BlockResult result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
   note(result);
   return result;
@@ -338,7 +339,7 @@ bool DenseStep::position_problem() {
   for (int k = 0;; ++k) {
     work_ = v_;
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
-    result = solve_law(INFINITY, v_);
+    result = solve_law(INFINITY, v_, start_);
     if (!v_.allFinite()) return fail("a number is not finite");
     if (recorder_) recorder_->take_law(lambda_, multipliers(v_ - from, lambda_ - before), v_);
     work_ = v_ - work_;
@@ -432,7 +433,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v1_;
   solver_.prepare(problem);
-  account(solve_law(bound_energy, v1_));
+  account(solve_law(bound_energy, v1_, end_));
   rows_.add_impulses(lambda_, p1_);
   if (recorder_) recorder_->take_plastic(active_, lambda_, multipliers(v1_ - work_, lambda_), v1_);
   lambda_end_ = lambda_;
@@ -462,7 +463,7 @@ void DenseStep::expand(double bound_energy) {
   }
   problem.v_free = v1_;
   const VecX plastic = v1_;
-  account(solve_law(INFINITY, v1_));
+  account(solve_law(INFINITY, v1_, end_));
   // Energy, cone and gaps are convex conditions: a share of the expansion keeps them as the whole and none of it do.
   const double share = kinetic_share(problem, plastic, v1_, bound_energy);
   if (recorder_) recorder_->take_expansion(active_, lambda_, multipliers(v1_ - plastic, lambda_), v1_, share);
@@ -533,7 +534,8 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
     report_.energy_error += take_reactions();
     if (!constraints_met()) return fail("the constraints cannot be met");
   }
-  joint_friction_loss_ -= joint_friction_work(lambda_end_, v1_);
+  // Both impulses with the displacement of the step, as in contact steps: the friction is constant along it.
+  joint_friction_loss_ -= joint_friction_work(lambda_end_, v_);
   set_results(lambda_end_);
   const double change = 0.5 * p1_.dot(v1_) + middle.potential - total(before) -
                         (integrator_.work() + driven_work() - joint_friction_loss_);

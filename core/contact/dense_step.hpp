@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "base/reduction.hpp"
+#include "cone/problem_log.hpp"
 #include "cone/reduced_solver.hpp"
 #include "contact/dense_recorder.hpp"
 #include "contact/dense_rows.hpp"
@@ -63,6 +64,8 @@ class DenseStep {
   void restart();
   // From now on what the derivatives of the steps need is kept.
   void keep_records() { recorder_ = std::make_unique<DenseRecorder>(*scene_, *guards_); }
+  // From now on the contact problems of steps are kept there; null: no longer.
+  void keep_problems(ProblemLog* log) { problems_ = log; }
   // Of the step just solved; its time and its share of the control step are left to the caller.
   DenseStepRecord& record() { return recorder_->record(); }
 
@@ -142,11 +145,12 @@ class DenseStep {
   void set_results(const VecX& lambda);
   double joint_friction_work(const VecX& lambda, const VecX& v) const;
   void note(const BlockResult& result);
-  BlockResult solve_law(double bound_energy, VecX& v);
+  BlockResult solve_law(double bound_energy, VecX& v, const Constraints& node);
   void account(const BlockResult& result);
 
   const Scene* scene_;
   Guards* guards_;
+  ProblemLog* problems_ = nullptr;
   ImpulseStep integrator_;
   ReducedSolver solver_;
   DenseCandidates candidates_;

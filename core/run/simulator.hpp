@@ -75,6 +75,12 @@ class Simulator {
   // the caller's.
   void follow(Guide* guide) { guide_ = guide; }
 
+  // From now on the contact problems of steps are kept there; null: no longer. The log stays the caller's.
+  void keep_problems(ProblemLog* log) {
+    contact_step_.keep_problems(log);
+    dense_step_.keep_problems(log);
+  }
+
   double time() const { return state_.time; }
   const VecX& q() const { return state_.q; }
   const VecX& p() const { return state_.p; }

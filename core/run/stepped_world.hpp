@@ -10,6 +10,10 @@ class SteppedWorld : public World {
  public:
   using World::World;
 
+  // The contact problems that steps pose are kept from now on, where all trees are advanced together.
+  void keep_problems() { World::keep_problems(&problems_); }
+  ProblemLog& problems() { return problems_; }
+
   // How a step went. kNotable: the caller has to look at the status, at an error of a function of the user, or at a
   // record that has grown to its limit.
   enum class Outcome { kOrdinary, kNotable };
@@ -43,6 +47,7 @@ class SteppedWorld : public World {
   void forget_steps();
 
  private:
+  ProblemLog problems_;
   Record record_;
   Before before_;
   MatX step_tau_, step_target_;

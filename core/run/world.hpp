@@ -32,6 +32,7 @@ class World {
                  Recording& recording);
   // As that of Simulator, where all trees are advanced together.
   void follow(Guide* guide) { whole_.follow(guide); }
+  void keep_problems(ProblemLog* log) { whole_.keep_problems(log); }
   // Advances all trees together from then on.
   Status run_auto(double duration, const AutoSteps& steps, const Progress& progress, Recording& recording);
 

@@ -32,6 +32,7 @@ class BlockProblem:
     v_free: np.ndarray
     offset: np.ndarray
     start: np.ndarray  # impulses of the step before
+    equations: np.ndarray | None = None  # (nv, m): equations.T @ v stays what it is in v_free
 
     @property
     def first_row(self) -> np.ndarray:
@@ -68,7 +69,7 @@ class BlockProblem:
             self.rows.astype(np.int32),
             self.mu, self.lower, self.box,
             np.concatenate([part.ravel() for parts in self.W for part in parts] or [np.zeros(0)]),
-            self.v_free, self.offset,
+            self.v_free, self.offset, self.equations,
         )  # fmt: skip
 
 

@@ -210,3 +210,22 @@ def test_a_motion_that_jumps_or_fails_ends_the_run(motion, error):
     if error is cvi.SimulationError:
         assert ended.value.status.code is cvi.StatusCode.CONSTRAINT
         assert ended.value.trajectory.t[-1] == pytest.approx(0.0503, abs=2e-5)
+
+
+def test_joint_friction_takes_its_torque_times_the_angle_in_whole_steps():
+    """A pendulum falls against friction: steps that counted too much of it as lost were halved to the shortest."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    rod = pin.Inertia(0.3, np.array([0.15, 0.0, 0.0]), np.diag([1e-4, 0.3 * 0.3**2 / 12, 0.3 * 0.3**2 / 12]))
+    model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -G])
+    scene = cvi.Scene.from_pinocchio(model, name="pendulum")
+    scene.add_sphere("ball", 0.1, placement=(0.0, 3.0, 0.0))  # what can touch makes dense steps
+    scene.add_halfspace(offset=-50.0)
+    scene.set_joint("hinge", friction=0.05)
+    traj = cvi.simulate(scene, duration=0.2, dt=1e-3, contact_mode="steps")
+    assert traj.stats.halved == 0
+    assert (traj.dense_steps.array("energy_rise") == 0.0).all()
+    lost = 0.05 * traj.q[-1, scene.q_index("hinge")].item()
+    assert traj.work.joint_friction[-1] == pytest.approx(lost, rel=1e-9)
+    assert traj.energy[0] - traj.energy[-1] == pytest.approx(lost, rel=1e-4)  # H itself is of second order
