@@ -15,7 +15,6 @@ constexpr double kSameImpulse = 1e-7;
 ImpactOptions options_of(const RecordedRun& run) {
   ImpactOptions options;
   options.map = run.map;
-  options.dt = run.dt;
   options.record_contacts = false;
   return options;
 }
