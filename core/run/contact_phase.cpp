@@ -252,7 +252,8 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
         event.guard, event.stays_closed,
         {now, free ? taken : 0.0, interval.remaining, interval.length, interval.tau, state_.step, rest}, recording);
     // An implicit map has chosen its impulse for the rest of the step, which therefore is solved as a whole.
-    if (free && law_->implicit() && !zeno_.impacted().empty()) state_.control.contact.allow(interval.remaining);
+    if (free && contact_step_.contacts().empty() && law_->implicit() && !zeno_.impacted().empty())
+      state_.control.contact.allow(interval.remaining);
     if (resolved && taken <= 0.0) step_past_rounding(event.guard);
     state_.contact_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
     return resolved;

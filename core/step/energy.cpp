@@ -5,8 +5,10 @@
 #include <vector>
 
 #include "base/reduction.hpp"
+#include "model/constraint_tangent.hpp"
 #include "model/constraints.hpp"
 #include "model/coordinates.hpp"
+#include "model/moving_frame.hpp"
 
 namespace contactvi {
 
@@ -159,10 +161,18 @@ double spring_power_rate(const Tree& tree, const VecCRef& q, const VecCRef& v, c
   return sum;
 }
 
-// d/dt of the rates of the constraints, W^T v + d phi/dt, along the motion at constant v: by central differences of
-// fourth order.
+// d/dt of the rates of the constraints, W^T v + d phi/dt, along the motion at constant v. Where a prescribed pose makes W
+// depend on time, by central differences of fourth order.
 VecX rates_at_constant_velocity(const Tree& tree, const VecCRef& q, const VecCRef& v, double t) {
   const int rows = tree.elements.constraint_rows;
+  const std::vector<Constraint>& all = tree.elements.constraints;
+  if (std::none_of(all.begin(), all.end(), [](const Constraint& c) { return moving_frame(c) != nullptr; })) {
+    ConstraintTangent constraints(tree);
+    constraints.take(q, t);
+    MatX dW(tree.nv, rows);
+    constraints.change(v, dW);
+    return dW.transpose() * v + constraints.accelerations();
+  }
   VecX phi(rows), rate(rows), moved(tree.nq), total = VecX::Zero(rows);
   MatX W(tree.nv, rows);
   Placements at(tree);

@@ -145,4 +145,3 @@ class ConstrainedSystem:
             1e-3 * plastic,
         )  # fmt: skip
         return lam, p + lam * row
-
