@@ -1,9 +1,10 @@
 """DTEC and MHC with constraints phi(q, t) = 0 in slow NumPy: the constrained step, its two energies, and the impact.
 
-One step of h from (q0, p0) at t0, with Phi = d phi/dq as columns and both momenta of the smooth step (oracles.del_step):
+One step of h from (q0, p0) at t0, with Phi = d phi/dq as columns and both momenta of the smooth step
+(oracles.del_step):
   p0(v) = p0 + Phi_0 Lam,  phi(q0 + h v, t0 + h) = 0;   p1 = p^-(v) + Phi_1 Lam',  Phi_1^T M^-1 p1 + d phi/dt = 0.
-A force of a constraint does the work -Lam . d phi/dt. At an impact p+ = p- + lam W', W' the gradient of the gap with the
-impulses of the constraints, and what DTEC and MHC conserve, less the loss, is
+A force of a constraint does the work -Lam . d phi/dt. At an impact p+ = p- + lam W', W' the gradient of the gap with
+the impulses of the constraints, and what DTEC and MHC conserve, less the loss, is
   DTEC  E_d of the parts of the step, with the work of the constraints between the middles of both parts,
   MHC   H~_h = H + h^2 H2 at both ends of the step, with the work of the constraints over it,
         H2 = -(G.a - dG.v - f.(Phi^T a)) / 24, a the constrained acceleration and f the forces of the constraints.
