@@ -295,6 +295,26 @@ def test_mhc_keeps_the_energy_of_a_long_run():
     assert spread["mhc"] < spread["ctec"] / 3.0 < spread["dtec"] / 3.0
 
 
+@pytest.mark.parametrize("restitution", [1.0, 0.8])
+def test_a_reference_of_the_run_does_not_drift_from_impact_to_impact(restitution):
+    """At the ends of the steps with impacts the energy of the start is back, less all losses: with it alone."""
+    left = {}
+    for reference in ("local", "global"):
+        traj = run(linkage_at_stop(restitution), "mhc", 4.0, 5e-3, mhc_reference=reference)
+        assert not np.any(traj.events.array("fallback"))
+        steps = np.unique(traj.events.array("step"))
+        left[reference] = np.abs((traj.modified_energy + traj.impact_loss)[steps + 1] - traj.modified_energy[0]).max()
+    assert left["global"] < 1e-12
+    assert left["local"] > 1e-9
+
+
+def test_a_reference_of_the_run_is_refused_beside_joint_friction():
+    scene, q, v = linkage_at_stop(1.0)
+    scene.set_joint("hinge_coupler", friction=0.1)
+    with pytest.raises(cvi.InputError, match="joint friction"):
+        cvi.simulate(scene, q, v, duration=0.1, dt=0.01, impact="mhc", mhc_reference="global")
+
+
 @pytest.mark.parametrize("impact", MAPS)
 @pytest.mark.parametrize("start", [lambda: linkage_at_stop(0.7), lambda: striker(0.8, 0.3), moved_pendulum])
 def test_own_scalar_is_kept_to_rounding(start, impact):
