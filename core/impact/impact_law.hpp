@@ -4,10 +4,10 @@
 //   p+ = p- + lambda W^T, lambda >= 0;  gamma = W M^-1 p;  G_c = W M^-1 W^T;  loss = (1 - e^2) gamma-^2 / (2 G_c).
 //
 // CTEC's lambda is explicit. The other maps are one scalar equation in lambda (scalar_map.hpp), whose target is the
-// scalar before the impact less the loss; the run keeps it in an ImpactReference. With constraints W is the row with the
-// impulses of the constraints that it entails (step/projection.hpp), and the steps are those that the constraints act
-// in. What moves by itself, the constraints that are prescribed motions, gives gamma a part of its own, `offset`, and
-// does the work -lambda offset in the impact.
+// scalar before the impact less the loss; the run keeps it in an ImpactReference. With constraints W is the row with
+// the impulses of the constraints that it entails (step/projection.hpp), and the steps are those that the constraints
+// act in. What moves by itself, the constraints that are prescribed motions, gives gamma a part of its own, `offset`,
+// and does the work -lambda offset in the impact.
 #pragma once
 
 #include "step/stepper.hpp"
@@ -70,8 +70,8 @@ struct ImpactReference {
   long step = -1;
 };
 
-// A state (q, p) at the time t [s] without persistent contacts. After a partial step to an event, and before the step is
-// told that it is taken, the stepper still holds it.
+// A state (q, p) at the time t [s] without persistent contacts. After a partial step to an event, and before the step
+// is told that it is taken, the stepper still holds it.
 struct FreeState {
   Stepper& stepper;
   const VecX &q, &p;
@@ -91,8 +91,9 @@ class ImpactLaw {
   virtual void start_step(const FreeState& /*start*/, ImpactReference&) const {}
   virtual void resume(const FreeState& /*now*/, ImpactReference&) const {}
   // reference.value becomes that of the map's scalar before the event at `now`, its losses not yet subtracted. What
-  // damping, inputs, joint friction and prescribed motions have done since the scalar's own instant (the middle of the partial step, or the node) is added,
-  // so that the impact does not give it back. partial: length of the step to the event [s]; step: number of the step.
+  // damping, inputs, joint friction and prescribed motions have done since the scalar's own instant (the middle of the
+  // partial step, or the node) is added, so that the impact does not give it back. partial: length of the step to the
+  // event [s]; step: number of the step.
   virtual void evaluate_before(const FreeState& /*now*/, double /*partial*/, long /*step*/, ImpactReference&) const {}
 
   // p is p- on entry and p+ on return, shape (nv,).

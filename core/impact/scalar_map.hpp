@@ -1,7 +1,7 @@
-// What the implicit impact maps (DTEC, MHC) share: one scalar equation in the impulse, E(lambda) + lambda offset = target, where E
-// depends on lambda through the velocities of the rest of the step from p+ = p- + lambda W^T. It is solved by the
-// secant method from CTEC's lambda, with dE/dlambda ~ gamma+ to start. Where that has no admissible root the impulse
-// falls back to CTEC's, and the result gives the reason.
+// What the implicit impact maps (DTEC, MHC) share: one scalar equation in the impulse, E(lambda) + lambda offset =
+// target, where E depends on lambda through the velocities of the rest of the step from p+ = p- + lambda W^T. It is
+// solved by the secant method from CTEC's lambda, with dE/dlambda ~ gamma+ to start. Where that has no admissible root
+// the impulse falls back to CTEC's, and the result gives the reason.
 #pragma once
 
 #include "impact/impact_law.hpp"

@@ -29,9 +29,9 @@ struct ImpactOptions {
   bool keep_blocks = false;  // impacts of several points are kept for derivatives
 };
 
-// The instant of an event: its time, the lengths of the partial step that ends there, of the rest of the step and of the
-// whole of it [s]. An implicit map has its equation over the rest, which `rest` makes; null: persistent contacts act in
-// it, and the scalar that the map conserves is not known.
+// The instant of an event: its time, the lengths of the partial step that ends there, of the rest of the step and of
+// the whole of it [s]. An implicit map has its equation over the rest, which `rest` makes; null: persistent contacts
+// act in it, and the scalar that the map conserves is not known.
 struct Instant {
   double time, before, after, dt;
   const VecX& tau;

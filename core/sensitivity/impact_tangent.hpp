@@ -49,7 +49,8 @@ class ImpactTangent {
   // W of the normal row of a point, (nv,): the gradient of its gap.
   VecX gradient(int point) const { return gradients_.col(points_[point].row); }
   const ContactTangent& contact(int point) const { return contacts_[point]; }
-  // dp+ (nv,), and the derivative of the energy that the impact takes, with implicit maps also by prescribed motions [J].
+  // dp+ (nv,), and the derivative of the energy that the impact takes, with implicit maps also by prescribed motions
+  // [J].
   void apply(const ImpactDirection& direction, VecRef dp, double& loss);
   // Adds the gradients in the inertias of the impact, but not of an implicit map's, from the gradient in p+.
   void add_parameters(const VecX& lp, StepAdjoint& adjoint, StepParameters& sums);

@@ -161,8 +161,8 @@ double spring_power_rate(const Tree& tree, const VecCRef& q, const VecCRef& v, c
   return sum;
 }
 
-// d/dt of the rates of the constraints, W^T v + d phi/dt, along the motion at constant v. Where a prescribed pose makes W
-// depend on time, by central differences of fourth order.
+// d/dt of the rates of the constraints, W^T v + d phi/dt, along the motion at constant v. Where a prescribed pose makes
+// W depend on time, by central differences of fourth order.
 VecX rates_at_constant_velocity(const Tree& tree, const VecCRef& q, const VecCRef& v, double t) {
   const int rows = tree.elements.constraint_rows;
   const std::vector<Constraint>& all = tree.elements.constraints;

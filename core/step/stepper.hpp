@@ -28,8 +28,8 @@ class Stepper {
 
   // As solve(), to rounding: impact maps form differences of such steps.
   virtual bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) = 0;
-  // Of the step just solved [J]: its discrete energy; the work of all but gravity and springs in it; and how much of that
-  // is done, in the mean, before the instants whose energies the discrete energy is the mean of.
+  // Of the step just solved [J]: its discrete energy; the work of all but gravity and springs in it; and how much of
+  // that is done, in the mean, before the instants whose energies the discrete energy is the mean of.
   virtual double discrete_energy() = 0;
   virtual double work() const = 0;
   virtual double mean_work() const = 0;
