@@ -270,8 +270,10 @@ class Scene:
     def energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """Kinetic and potential energy [J], (N, 2)."""
 
-    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
-        """Modified Hamiltonian [J] for step h, (N,); H for order >= 4."""
+    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, order: int = 2, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """
+        Modified Hamiltonian [J] for step h, (N,); H for order >= 4. t (N,): of the states, for constraints.
+        """
 
     def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """E_d [J] of one step h (N,) from each state, (N,)."""

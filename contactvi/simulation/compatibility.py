@@ -99,8 +99,8 @@ def check_elements(compiled: CompiledScene, options: Options) -> None:
         _refuse_blind(options, _REMADE_TOLERANCES, "constraints, dampers or joint friction")
     if compiled.built.elements.any:
         _refuse_blind(options, ("impulse_balance",), "forces or constraints on bodies")
-    if compiled.forced and _carries_reference(options):
-        what = compiled.driven or "constraints, dampers or joint friction"
+    what = compiled.driven or ("dampers or joint friction" if compiled.dissipates else None)
+    if what is not None and _carries_reference(options):
         _refuse_global(what, f"a scene with {what}", "Use mhc_reference='local'")
 
 

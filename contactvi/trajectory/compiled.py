@@ -168,8 +168,14 @@ class CompiledScene:
     def forced(self) -> bool:
         """Whether something besides potentials and joint damping acts: then a step is not made again without it."""
         found, arrays = self.built.elements, self.built.arrays
-        dampers = any(damping > 0.0 for *_, damping, _only in found.springs)
-        return bool(self.built.constrained or found.wrenches or found.forces or dampers or np.any(arrays.servo[:2]))
+        acts = found.wrenches or found.forces or np.any(arrays.servo[:2])
+        return bool(self.built.constrained or acts or self.dissipates)
+
+    @cached_property
+    def dissipates(self) -> bool:
+        """Whether dampers or joint friction take energy, the damping of joints aside."""
+        dampers = any(damping > 0.0 for *_, damping, _only in self.built.elements.springs)
+        return dampers or bool(np.any(self.built.arrays.joint_friction))
 
     @cached_property
     def driven(self) -> str | None:

@@ -159,6 +159,7 @@ class _Pick:
         self.name = str(name)
         model = compiled.built.model
         kind, _, pair = self.name.partition(":")
+        check_parameter(traj, self.name)
         self._entry = {"q0": "q", "v0": "v", "control": "tau", "target": "q_ref", "target_velocity": "v_ref"}.get(
             self.name
         )
@@ -169,7 +170,6 @@ class _Pick:
             self._entry = "e" if kind == "restitution" else "mu"
             self._rows = laws.column(self._entry, pair)
         elif parameters.is_parameter(self.name):
-            check_parameter(traj, self.name)
             self._directions = parameters.directions_of(model, self.name)
         elif self._entry is None:
             known = (*OF_THE_RUN, *parameters.CONTACT_NAMES, *parameters.NAMES)

@@ -36,7 +36,7 @@ Tolerances, the keys of the option `ledger` of a run, are upper bounds of
 Inputs are not kept in a run. What needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
 where a run had some (or constraints, joint friction, servos, wrenches, dampers, forces of the user), and where the run
 had to cut that step in two because its stage iterations did not converge. It is NaN, too, where there are persistent
-contacts, constraints or joint friction: the discrete energy and the modified Hamiltonian are those of free steps.
+contacts, constraints or joint friction, whose steps are not made again; own_jump is known there.
 """
 
 from __future__ import annotations
@@ -136,8 +136,8 @@ class Ledger:
 
     @cached_property
     def modified_energy(self) -> Array:
-        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on and with constraints."""
-        return self._steps.modified_energy(self._q, self._p)
+        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on without constraints."""
+        return self._steps.modified_energy(self._q, self._p, self.t)
 
     @cached_property
     def discrete_energy(self) -> Array:

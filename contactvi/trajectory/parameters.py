@@ -18,7 +18,8 @@ from contactvi.scene.parameter_values import is_parameter as is_parameter
 Array = NDArray[np.float64]
 Direction = dict[str, Array]
 
-CONSERVED = ("gravity", "mass", "inertia", "armature", "stiffness", "rest")  # what the energy of a motion depends on
+# What the energy of a motion depends on, inputs among it.
+OF_ENERGY = ("control", "gravity", "mass", "inertia", "armature", "stiffness", "rest", "damping")
 
 
 def directions_of(model: pin.Model, name: str) -> list[Direction]:

@@ -52,13 +52,15 @@ class RemadeSteps:
                     values[i] = self._core.discrete_energy(q[one], p[one], h[one], self._order)[0]
         return values
 
-    def modified_energy(self, q: Array, p: Array) -> Array:
-        """Return the modified Hamiltonian of the full step at states q (n, nq), p (n, nv) [J], shape (n,)."""
+    def modified_energy(self, q: Array, p: Array, t: Array | None = None) -> Array:
+        """Return the modified Hamiltonian of the full step at states q (n, nq), p (n, nv) [J], shape (n,).
+
+        t: their times (n,) [s], for constraints that are prescribed motions.
+        """
         if not self._complete:
             return np.full(len(q), np.nan)
-        if self._constrained:  # no modified Hamiltonian is known of constrained steps
-            return np.asarray(self._core.energy(q, p).sum(axis=1))
-        return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
+        order = 2 if self._constrained else self._order  # of steps with constraints or joint friction
+        return np.asarray(self._core.modified_energy(q, p, self._dt, order, t))
 
     def after(self, q: Array, p: Array, h: Array) -> tuple[Array, Array, Array, Array]:
         """Return where parts of steps h (n,) [s] from states q (n, nq), p (n, nv) at impacts end, and damping's work.

@@ -311,13 +311,14 @@ def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiab
 
 
 def check_parameter(traj: Recorded, name: str) -> None:
-    """Raise NotDifferentiable for a parameter on which the energy of an implicit impact map depends."""
-    if traj.options.impact == "ctec" or not len(traj.events) or name.partition(":")[0] not in parameters.CONSERVED:
+    """Raise NotDifferentiable for what changes the energy of a motion, which an implicit impact map conserves."""
+    if traj.options.impact == "ctec" or not len(traj.events) or name.partition(":")[0] not in parameters.OF_ENERGY:
         return
     raise NotDifferentiable(
-        "The energy that an implicit impact map conserves depends on the scene's parameters", reason="map",
-        expected="impact='ctec' for derivatives in inertias, gravity and springs", got=repr(traj.options.impact),
-        remedy="Use impact='ctec'",
+        "The energy that an implicit impact map conserves depends on inputs and on the scene's parameters",
+        reason="map", got=f"{name!r} with {traj.options.impact!r}",
+        expected="impact='ctec' for derivatives in inputs, inertias, gravity, springs and damping",
+        remedy="Use impact='ctec', or leave these names out of wrt",
     )  # fmt: skip
 
 
@@ -347,8 +348,8 @@ def _part(
 ) -> tuple[str, Array | list[parameters.Direction]]:
     """Return the engine's entry of a name and its columns."""
     kind, _, pair = name.partition(":")
+    check_parameter(traj, name)
     if parameters.is_parameter(name):
-        check_parameter(traj, name)
         return "parameters", parameters.directions_of(compiled.built.model, name)
     entry = {"q0": "q", "v0": "v", "control": "tau", "restitution": "e", "friction": "mu"}.get(kind)
     if entry is None or (pair and entry not in ("e", "mu")):

@@ -134,15 +134,16 @@ Array2 energies(const Scene& s, const Rows& q, const Rows& p) {
   return hand_over(std::move(result));
 }
 
-Array1 modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, int order) {
+Array1 modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, int order, std::optional<VecX> t) {
   need_states(s, q, p);
+  if (t && t->size() != q.rows()) throw Error("expected t of shape (N,)");
   Integrator integrator(s.tree, stages_of(order), 1e-12, 1);
   VecX result(q.rows());
   for (Eigen::Index i = 0; i < q.rows(); ++i) {
     const VecX qi = q.row(i);
     VecX pi = p.row(i);
     public_to_engine(s.tree, qi, pi);
-    result[i] = modified_hamiltonian(integrator, qi, pi, h);
+    result[i] = modified_hamiltonian(integrator, qi, pi, h, t ? (*t)[i] : 0.0);
   }
   raise_user_errors(s);
   return hand_over(std::move(result));
@@ -318,8 +319,8 @@ void expose_scene(nb::module_& m) {
           "is lost, and how much.")
       .def("momentum", &momentum, "q"_a, "v"_a, "p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv).")
       .def("energy", &energies, "q"_a, "p"_a, "Kinetic and potential energy [J], (N, 2).")
-      .def("modified_energy", &modified_energies, "q"_a, "p"_a, "h"_a, "order"_a = 2,
-           "Modified Hamiltonian [J] for step h, (N,); H for order >= 4.")
+      .def("modified_energy", &modified_energies, "q"_a, "p"_a, "h"_a, "order"_a = 2, "t"_a = nb::none(),
+           "Modified Hamiltonian [J] for step h, (N,); H for order >= 4. t (N,): of the states, for constraints.")
       .def("discrete_energy", &discrete_energies, "q"_a, "p"_a, "h"_a, "order"_a = 2,
            "E_d [J] of one step h (N,) from each state, (N,).")
       .def("spatial_momentum", &spatial_momenta, "q"_a, "p"_a,

@@ -137,7 +137,7 @@ class ImpactsAt {
     const VecX none;
     ImpactReference reference;
     sequence.begin_step();
-    if (sequence.run({0.0, 0.0, 0.0, none, 0}, plastic, reference, p, recording)) return true;
+    if (sequence.run({0.0, 0.0, 0.0, 0.0, none, 0, &integrator_}, plastic, reference, p, recording)) return true;
     if (sequence.code() != StatusCode::kTooManyImpacts) throw Error(sequence.message());
     return false;
   }

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "contact/contact_step.hpp"
+#include "model/forces.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
@@ -31,6 +32,27 @@ double ContactStep::friction_work() const {
 double ContactStep::driven_work() const {
   if (bilateral_ == 0) return 0.0;
   return -lambda_.head(bilateral_).dot(node0_.rate) - lambda_end_.head(bilateral_).dot(node1_.rate);
+}
+
+double ContactStep::mean_work() const {
+  double impulses = 0.0;
+  if (bilateral_ > 0) impulses -= lambda_.head(bilateral_).dot(node0_.rate);
+  for (int k = 0; k < friction_rows_; ++k) impulses += lambda_[bilateral_ + k] * v_[friction_joints_[k].dof];
+  return integrator_.mean_work() + impulses;
+}
+
+double ContactStep::discrete_energy() {
+  const Tree& tree = scene_->tree;
+  VecX middle(tree.nq), P(tree.nv), force(tree.nv);
+  integrate(tree, node0_.q, v_, 0.5 * h_, middle);
+  integrator_.dynamics(middle, v_, P, force);
+  Placements at(tree);
+  place(tree, middle, at);
+  return 0.5 * P.dot(v_) + total_potential(tree, integrator_.field(), at, middle);
+}
+
+double ContactStep::modified_hamiltonian(double t, const VecCRef& q, const VecCRef& p, double h) {
+  return contactvi::modified_hamiltonian(integrator_, q, p, h, t);
 }
 
 // The energy that a midpoint step conserves differs from H by h^2 (a.M a and T omega^2) / 12 or less, and what it

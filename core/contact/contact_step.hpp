@@ -47,8 +47,10 @@ class ContactStep final : public Stepper {
   std::vector<PersistentContact>& contacts() { return contacts_; }
   const std::vector<PersistentContact>& contacts() const { return contacts_; }
   // True if a step needs no impulses: there are no persistent contacts, constraints or joints with friction.
-  bool empty() const { return contacts_.empty() && bilateral_ + friction_rows_ == 0; }
+  bool empty() const { return contacts_.empty() && !has_fixed_rows(); }
   bool constrained() const { return bilateral_ > 0; }
+  // Whether constraints or joint friction make every step one of these.
+  bool has_fixed_rows() const { return bilateral_ + friction_rows_ > 0; }
   void set_time(double t) { integrator_.set_time(t); }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // From now on the contact problems of steps are kept there; null: no longer.
@@ -66,6 +68,9 @@ class ContactStep final : public Stepper {
 
   int stages() const override { return 1; }
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
+  bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override {
+    return solve(q0, p0, h, tau);
+  }
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
   void finish(VecRef q1, VecRef p1) override;
   void forget() override {}
@@ -94,7 +99,11 @@ class ContactStep final : public Stepper {
   double joint_friction_loss() const;
   double driven_work() const;
   double friction_work() const;  // of contacts [J], <= 0; no part of work()
-  double work() const { return integrator_.work() + driven_work() - joint_friction_loss(); }
+  double work() const override { return integrator_.work() + driven_work() - joint_friction_loss(); }
+  // With all impulses at the start of the step done in the middle of it, and none of those at its end.
+  double mean_work() const override;
+  double discrete_energy() override;
+  double modified_hamiltonian(double t, const VecCRef& q, const VecCRef& p, double h) override;
   // Position impulse plus velocity impulse of the rows of the constraints [N s; N m s].
   VecX constraint_impulses() const { return lambda_.head(bilateral_) + lambda_end_.head(bilateral_); }
   // For the start of a run: no joint has an anchor, and no forces are known.

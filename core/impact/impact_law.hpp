@@ -4,10 +4,13 @@
 //   p+ = p- + lambda W^T, lambda >= 0;  gamma = W M^-1 p;  G_c = W M^-1 W^T;  loss = (1 - e^2) gamma-^2 / (2 G_c).
 //
 // CTEC's lambda is explicit. The other maps are one scalar equation in lambda (scalar_map.hpp), whose target is the
-// scalar before the impact less the loss; the run keeps it in an ImpactReference.
+// scalar before the impact less the loss; the run keeps it in an ImpactReference. With constraints W is the row with
+// the impulses of the constraints that it entails (step/projection.hpp), and the steps are those that the constraints
+// act in. What moves by itself, the constraints that are prescribed motions, gives gamma a part of its own, `offset`,
+// and does the work -lambda offset in the impact.
 #pragma once
 
-#include "step/integrator.hpp"
+#include "step/stepper.hpp"
 
 namespace contactvi {
 
@@ -29,14 +32,16 @@ enum class Fallback : int {
 };
 
 struct ImpactProblem {
-  Integrator& integrator;
+  Stepper& rest;        // makes the rest of the step
   const VecX& q;        // q_c, (nq,)
   const VecX& p_minus;  // (nv,)
   const VecX& W;        // gap gradient at q_c, (nv,)
   const VecX& MinvW;    // M^-1 W^T, (nv,)
   double gamma_minus;   // < 0
   double G_c;
+  double offset;       // part of gamma that prescribed motions make
   double restitution;  // in [0, 1]
+  double time;         // of the impact [s]
   double dt;           // full step, for the modified Hamiltonian
   double remainder;    // of the step after the impact
   const VecX& tau;     // (nv,) or empty
@@ -58,16 +63,19 @@ struct ImpactResult {
 struct ImpactReference {
   MhcReference kind = MhcReference::kStep;
   double value = 0;  // of the map's scalar, less the losses of the impacts since it was taken [J]
-  // MHC with kStep: the state at the start of the step, and the number of the step that `value` is of; -1: of none yet.
+  // MHC with kStep: the state and the time [s] at the start of the step, and the number of the step that `value` is of;
+  // -1: of none yet.
   VecX q, p;
+  double t = 0;
   long step = -1;
 };
 
-// A state (q, p) of free motion. After a partial step to an event the integrator still holds that step.
+// A state (q, p) at the time t [s] without persistent contacts. After a partial step to an event, and before the step
+// is told that it is taken, the stepper still holds it.
 struct FreeState {
-  Integrator& integrator;
+  Stepper& stepper;
   const VecX &q, &p;
-  double dt;  // full step [s]
+  double t, dt;  // dt: full step [s]
 };
 
 class ImpactLaw {
@@ -80,11 +88,12 @@ class ImpactLaw {
 
   // The reference at the start of a run, at the start of a step and where free motion resumes after persistent contact.
   virtual void start_run(const FreeState& /*start*/, ImpactReference&) const {}
-  virtual void start_step(const VecX& /*q*/, const VecX& /*p*/, ImpactReference&) const {}
+  virtual void start_step(const FreeState& /*start*/, ImpactReference&) const {}
   virtual void resume(const FreeState& /*now*/, ImpactReference&) const {}
   // reference.value becomes that of the map's scalar before the event at `now`, its losses not yet subtracted. What
-  // damping and inputs have done since the scalar's own instant (the middle of the partial step, or the node) is added,
-  // so that the impact does not give it back. partial: length of the step to the event [s]; step: number of the step.
+  // damping, inputs, joint friction and prescribed motions have done since the scalar's own instant (the middle of the
+  // partial step, or the node) is added, so that the impact does not give it back. partial: length of the step to the
+  // event [s]; step: number of the step.
   virtual void evaluate_before(const FreeState& /*now*/, double /*partial*/, long /*step*/, ImpactReference&) const {}
 
   // p is p- on entry and p+ on return, shape (nv,).

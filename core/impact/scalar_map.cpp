@@ -18,13 +18,18 @@ ImpactResult ScalarMap::apply(const ImpactProblem& problem, VecRef p) const {
   return ctec.ok ? correct(problem, ctec, p) : ctec;
 }
 
+// What is left of the equation: the scalar after the impact less its target and the work of prescribed motions in it.
+double ScalarMap::balance(const ImpactProblem& problem, const VecX& p_plus, double impulse) const {
+  return scalar(problem, p_plus) - problem.target + impulse * problem.offset;
+}
+
 ImpactResult ScalarMap::correct(const ImpactProblem& problem, const ImpactResult& start, VecRef p) const {
   ImpactResult result = start;
   auto fall_back = [&](Fallback reason) {
     result.impulse = start.impulse;
     result.fallback = reason;
     const VecX p_start = problem.p_minus + start.impulse * problem.W;
-    const double left = scalar(problem, p_start) - problem.target;
+    const double left = balance(problem, p_start, start.impulse);
     result.jump = std::isfinite(left) ? left : 0.0;
     p = p_start;
     return result;
@@ -38,7 +43,7 @@ ImpactResult ScalarMap::correct(const ImpactProblem& problem, const ImpactResult
   double lambda = start.impulse, previous_lambda = 0.0, previous = 0.0, best = INFINITY, best_lambda = lambda;
   for (int k = 0; k < kMaxIterations; ++k) {
     p_plus = problem.p_minus + lambda * problem.W;
-    const double mismatch = scalar(problem, p_plus) - problem.target;
+    const double mismatch = balance(problem, p_plus, lambda);
     ++result.iterations;
     if (!std::isfinite(mismatch)) break;
     if (std::abs(mismatch) < best) {

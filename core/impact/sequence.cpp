@@ -113,14 +113,6 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Im
   }
 }
 
-ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) const {
-  if (!law_->implicit() || !rest_is_not_smooth()) return law_->apply(problem, p);
-  // The rest of the step is not a smooth one: its scalar is not what the map conserves.
-  ImpactResult result = explicit_impulse(problem, p);
-  result.fallback = Fallback::kPersistent;
-  return result;
-}
-
 // After a fallback the scalar is what it is: the next impact must not be made to pay the difference back. A reference
 // that is carried through the run keeps its value.
 void ImpactSequence::carry_over(const ImpactResult& result) {
@@ -131,11 +123,15 @@ void ImpactSequence::carry_over(const ImpactResult& result) {
 // One point without friction: the maps as they are.
 bool ImpactSequence::impact_at_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
   const VecX p_minus = p, W = closed.W.col(0), MinvW = closed.MinvW.col(0);
+  const bool implicit = is_implicit(at);
+  Stepper& rest = implicit ? *at.rest : *integrator_;
   const double gamma = closed.speed(0, p), G_c = W.dot(MinvW);
-  ImpactProblem problem{*integrator_, q_, p_minus, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, 0.0};
+  ImpactProblem problem{rest, q_,      p_minus, W,        MinvW,  gamma, G_c, closed.offset[0],
+                        e,    at.time, at.dt,   at.after, at.tau, 0.0};
   reference_->value -= problem.loss();
   problem.target = reference_->value;
-  const ImpactResult result = apply_map(problem, p);
+  ImpactResult result = implicit ? law_->apply(problem, p) : explicit_impulse(problem, p);
+  if (law_->implicit() && !implicit) result.fallback = Fallback::kPersistent;
   if (!result.ok) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
   carry_over(result);
   closed.impacted = true;
@@ -153,21 +149,25 @@ ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const Po
   const int m = closed.rows_per_point();
   for (int i = 0; i < closed.count; ++i) ctec.impulse += block.lambda[m * i];
   VecX W = VecX::Zero(p.size()), MinvW = W;
+  double offset = 0.0;
   for (int i = 0; i < closed.count && ctec.impulse > 0.0; ++i) {
     const double share = block.lambda[m * i] / ctec.impulse;
     W += share * closed.W.col(m * i);
     MinvW += share * closed.MinvW.col(m * i);
+    offset += share * closed.offset[m * i];
   }
   ImpactResult result = ctec;
   if (!law_->implicit()) return result;
-  if (rest_is_not_smooth() || !(ctec.impulse > 0.0)) {
+  if (!is_implicit(at) || !(ctec.impulse > 0.0)) {
     result.fallback = Fallback::kPersistent;
     return result;
   }
   const VecX base = p - ctec.impulse * W;  // so that p = base + impulse W
-  const double G_c = W.dot(MinvW), gamma = MinvW.dot(base);
-  ImpactProblem problem{*integrator_, q_, base,        W,        MinvW,  gamma,
-                        G_c,          e,  options_.dt, at.after, at.tau, reference_->value};
+  const double G_c = W.dot(MinvW), gamma = MinvW.dot(base) + offset;
+  // Friction has done its part of the work of prescribed motions.
+  const double friction = closed.offset.head(closed.rows).dot(block.lambda.head(closed.rows)) - ctec.impulse * offset;
+  ImpactProblem problem{*at.rest, q_, base,    W,     MinvW,    gamma,  G_c,
+                        offset,   e,  at.time, at.dt, at.after, at.tau, reference_->value - friction};
   result = law_->correct(problem, ctec, p);
   const bool closes = closed.gamma_n(p) < -kSolved * speeds_;
   if (!closes && !leaves_friction_cone(closed, block.lambda, result.impulse)) return result;
@@ -281,7 +281,7 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
     ImpactResult result;
     for (int i = 0; i < c.count; ++i) result.impulse += lambda[m * i];
     result.iterations = block.iterations;
-    if (law_->implicit()) result.fallback = rest_is_not_smooth() ? Fallback::kPersistent : Fallback::kPlastic;
+    if (law_->implicit()) result.fallback = is_implicit(at) ? Fallback::kPlastic : Fallback::kPersistent;
     c.impacted = true;
     const double loss = c.loss(lambda, p_minus, p);
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
@@ -319,6 +319,7 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
     const VecX answer = closed.mu_fixed.leftCols(closed.rows) * lambda;
     constraint_impulses_ -= answer;
     driven_work_ += answer.dot(projection_.rate());
+    reference_->value += answer.dot(projection_.rate());
   }
   ImpactRecord r;
   const int m = closed.rows_per_point();

@@ -23,18 +23,20 @@ namespace contactvi {
 
 struct ImpactOptions {
   ImpactMap map = ImpactMap::kCtec;
-  double dt = 0;  // full step
   bool stiff_support = false;
   long max_impacts_per_step = 0;
   bool record_contacts = true;
   bool keep_blocks = false;  // impacts of several points are kept for derivatives
 };
 
-// The instant of an event: its time, the lengths of the partial step that ends there and of the rest of the step [s].
+// The instant of an event: its time, the lengths of the partial step that ends there, of the rest of the step and of
+// the whole of it [s]. An implicit map has its equation over the rest, which `rest` makes; null: persistent contacts
+// act in it, and the scalar that the map conserves is not known.
 struct Instant {
-  double time, before, after;
+  double time, before, after, dt;
   const VecX& tau;
   long step;
+  Stepper* rest;
 };
 
 class ImpactSequence {
@@ -93,14 +95,13 @@ class ImpactSequence {
   ImpactResult correct_impulse(const ClosedGuard& closed, const PoissonResult& block, double e, const Instant& at,
                                VecX& p);
   bool leaves_friction_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
-  ImpactResult apply_map(const ImpactProblem& problem, VecX& p) const;
   void carry_over(const ImpactResult& result);
   void keep_block(const std::vector<BlockMember>& members, std::size_t first, const Recording& recording);
   void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
               const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
               const Instant& at, Recording& recording);
-  // Whether constraints or persistent contacts act in the rest of the step.
-  bool rest_is_not_smooth() const { return any_persistent_ || projection_.any(); }
+  // Whether an implicit map has an equation at this instant.
+  bool is_implicit(const Instant& at) const { return law_->implicit() && at.rest != nullptr && !any_persistent_; }
   bool fail_unsolved(const char* message, int guard);
   bool fail(StatusCode code, const char* message, int guard);
 

@@ -185,11 +185,10 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   const auto clock = std::chrono::steady_clock::now();
   const double at = interval.start + interval.done, nominal = current_dt();
   contact_step_.set_time(at);
+  const bool was_persistent = !contact_step_.contacts().empty();
   if (!update_contact_points(interval, recording)) return false;
-  if (contact_step_.empty()) {
-    resume_free_motion();
-    return true;
-  }
+  if (was_persistent && contact_step_.contacts().empty()) resume_free_motion(at);
+  if (contact_step_.empty()) return true;
   const double parts = interval.parts(nominal);
   const double whole = interval.remaining / parts;
   const double h = std::min(whole, state_.control.contact.longest);
@@ -207,15 +206,20 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   if (again) {
     if (!state_.control.count_standstill())
       return end(StatusCode::kTooManyImpacts, at, "the persistent contacts change without end at one instant");
-    if (contact_step_.empty()) resume_free_motion();
+    if (contact_step_.contacts().empty()) resume_free_motion(at);
     return true;
   }
+  const bool free = contact_step_.contacts().empty();
   const double taken = alpha * h;
   if (taken > 0.0 && (changes_energy() || sinks_in(recording, at + taken))) return retry_contact_step(h, at);
   if (taken > 0.0) {
     contact_step_.finish(q1_, p1_);
     if (!stays_in_range(at)) return false;
     state_.work.add(contact_step_);
+    // Before the step is told that it is taken.
+    if (hit && free)
+      law_->evaluate_before({contact_step_, q1_, p1_, at + taken, interval.length}, taken, state_.step,
+                            state_.reference);
     if (options_.gradient) keep_contact_step(h == whole ? 1.0 / parts : 0.0, hit, alpha < 1.0);
     accept_contact_step(at, taken, options_.dense, recording);
     interval.done += taken;
@@ -227,7 +231,9 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
       state_.control.progress();
     else if (!state_.control.count_standstill())
       return end(StatusCode::kTooManyImpacts, at + taken, "the persistent contacts change without end at one instant");
-    law_->start_step(state_.q, state_.p, state_.reference);
+    if (!hit || !free) law_->start_step(free_state(interval.start + interval.done), state_.reference);
+  } else if (hit && free) {
+    law_->evaluate_before(free_state(at, interval.length), 0.0, state_.step, state_.reference);
   }
   const double now = interval.start + interval.done;
   if (hit) {
@@ -241,15 +247,20 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     // What has opened before the event has no part in it.
     if (taken > 0.0) contacts_.release_separated(-1, true, now, recording);
     const Event& event = finder_.event();
-    const bool resolved = resolve_event(event.guard, event.stays_closed,
-                                        {now, 0.0, interval.remaining, interval.tau, state_.step}, recording);
+    Stepper* rest = free ? &contact_step_ : nullptr;
+    const bool resolved = resolve_event(
+        event.guard, event.stays_closed,
+        {now, free ? taken : 0.0, interval.remaining, interval.length, interval.tau, state_.step, rest}, recording);
+    // An implicit map has chosen its impulse for the rest of the step, which therefore is solved as a whole.
+    if (free && contact_step_.contacts().empty() && law_->implicit() && !zeno_.impacted().empty())
+      state_.control.contact.allow(interval.remaining);
     if (resolved && taken <= 0.0) step_past_rounding(event.guard);
     state_.contact_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
     return resolved;
   }
   contacts_.release_separated(changes_.releasing(), false, now, recording);
   changes_.set_releasing(-1);
-  if (contact_step_.empty()) resume_free_motion();
+  if (!free && contact_step_.contacts().empty()) resume_free_motion(now);
   state_.contact_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
   return true;
 }
@@ -257,7 +268,8 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
 // Finds the contact points again at a node. Points that have closed meanwhile and approach have an impact. False: the
 // run has ended.
 bool Simulator::update_contact_points(const Interval& interval, Recording& recording) {
-  const Instant now{interval.start + interval.done, 0.0, interval.remaining, interval.tau, state_.step};
+  const Instant now{
+      interval.start + interval.done, 0.0, interval.remaining, interval.length, interval.tau, state_.step, nullptr};
   const int changed = contacts_.find_points(now.time, recording);
   if (changed < 0) return true;
   // As at an event, points that close have an impact, and those that neither close nor separate persist.

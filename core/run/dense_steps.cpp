@@ -121,7 +121,7 @@ void Simulator::end_dense_phase() {
   const long halved = state_.control.halved;
   state_.control.start(options_.dt, contact_dt());
   state_.control.halved = halved;
-  if (contact_step_.empty()) resume_free_motion();
+  if (contact_step_.contacts().empty()) resume_free_motion(state_.time);
 }
 
 // One dense step, of the length of steps with persistent contacts where it can be solved and keeps its promises.

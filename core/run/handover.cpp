@@ -74,7 +74,7 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   dense_step_.recall(dense);
   for (int g : from.touching) finder_.set_touching(g, true);
   for (int g : from.exempt) finder_.exempt(g);
-  law_->start_run(free_state(), s.reference);
+  law_->start_run(free_state(t), s.reference);
 }
 
 void Simulator::forget_counts() {

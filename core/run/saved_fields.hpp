@@ -29,8 +29,8 @@ void fields(Archive& a, StepControl& x) {
 
 template <class Archive>
 void fields(Archive& a, ImpactReference& x) {
-  auto& [kind, reference, q, p, step] = x;
-  values(a, kind, reference, q, p, step);
+  auto& [kind, reference, q, p, t, step] = x;
+  values(a, kind, reference, q, p, t, step);
 }
 
 template <class Archive>

@@ -38,8 +38,8 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       dense_step_(scene, guards_, options.tol),
       costs_(scene.tree),
       sequence_(scene, integrator_, guards_,
-                {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step,
-                 options.record_contacts, options.gradient}),
+                {options.impact, options.stiff_support, options.max_impacts_per_step, options.record_contacts,
+                 options.gradient}),
       path_(scene.tree, options.stages),
       contact_path_(scene.tree, 1),
       actuation_(scene.tree, state_.actuators, integrator_, contact_step_, dense_step_),
@@ -126,7 +126,7 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
     if (!user_function_failed(t)) end(StatusCode::kNotFinite, t, "the energy of the start state is not finite");
     return state_.status;
   }
-  law_->start_run(free_state(), state_.reference);
+  law_->start_run(free_state(t), state_.reference);
   guards_.place(q0);
   finder_.forget_touching();
   std::vector<int> meeting;
@@ -290,7 +290,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   const long impacts = state_.impacts;
   if (state_.dense.active && dense_may_end()) end_dense_phase();
   if (!state_.dense.active) ++state_.dense.since_return;
-  law_->start_step(state_.q, state_.p, state_.reference);
+  law_->start_step(free_state(start), state_.reference);
   while (interval.remaining > 0.0) {
     interval.checked = false;
     if (parts++ > 0) {
@@ -377,7 +377,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   interval.done += h;
   interval.remaining = shorter ? interval.length - interval.done : 0.0;
   // Each part of a step that was cut counts as a step of its own.
-  if (interval.remaining > 0.0) law_->start_step(state_.q, state_.p, state_.reference);
+  if (interval.remaining > 0.0) law_->start_step(free_state(interval.start + interval.done), state_.reference);
   return true;
 }
 
@@ -396,7 +396,9 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   interval.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : interval.length - interval.done;
   state_.q = event.q;
   state_.p = event.p;
-  const Instant instant{at, before, interval.remaining, interval.tau, state_.step};
+  law_->evaluate_before(free_state(at + before, interval.length), before, state_.step, state_.reference);
+  const Instant instant{at + before,  before,      interval.remaining, interval.length,
+                        interval.tau, state_.step, &integrator_};
   if (!resolve_event(event.guard, event.stays_closed, instant, recording)) return false;
   StepControl& control = state_.control;
   if (before < StepControl::kShortest * shortest_nominal_step() && zeno_.impacted().empty()) {
@@ -428,13 +430,10 @@ bool Simulator::user_function_failed(double time) {
 // The shortest nominal length of steps, with which flights are compared [s].
 double Simulator::shortest_nominal_step() const { return std::min({state_.adaptive_dt, contact_dt(), options_.dt}); }
 
-// The impacts at the event of the guard `first`. stays_closed: it was touching and has not separated since. at.time is
-// the start of the partial step that ends at the event.
-bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, Recording& recording) {
-  const double time = at.time + at.before;
-  const Instant now{time, at.before, at.after, at.tau, at.step};
-  const bool touched = finder_.touching(first), was_persistent = !contact_step_.empty();
-  if (contact_step_.empty()) law_->evaluate_before(free_state(), at.before, state_.step, state_.reference);
+// The impacts at the event of the guard `first`. stays_closed: it was touching and has not separated since.
+bool Simulator::resolve_event(int first, bool stays_closed, const Instant& now, Recording& recording) {
+  const double time = now.time;
+  const bool touched = finder_.touching(first), was_persistent = !contact_step_.contacts().empty();
   integrator_.set_time(time);
   contact_step_.set_time(time);
   if (!sequence_.collect(state_.q, state_.p, time, finder_.active(), first, contact_step_.contacts()))
@@ -461,12 +460,11 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   }
   // A contact that closes again without a flight becomes persistent even if it separates: the step decides.
   if (allows_persistent_contact())
-    contacts_.close_contacts((stays_closed || touched) && !any_hit ? first : -1, time, at.tau, recording);
-  if (was_persistent && contact_step_.empty()) resume_free_motion();
+    contacts_.close_contacts((stays_closed || touched) && !any_hit ? first : -1, time, now.tau, recording);
+  // An impact, and the steps that a map has tried after it, leave nothing from which the next step could go on.
+  contact_step_.invalidate();
+  if (was_persistent && contact_step_.contacts().empty()) resume_free_motion(time);
   return true;
 }
-
-// Free motion goes on where the last persistent contact has ended.
-void Simulator::resume_free_motion() { law_->resume(free_state(), state_.reference); }
 
 }  // namespace contactvi

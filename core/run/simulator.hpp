@@ -186,11 +186,16 @@ class Simulator {
   bool end_failed_search(Search outcome, double time);
   bool run_impacts(const Instant& now, Recording& recording);
   bool user_function_failed(double time);
-  FreeState free_state() { return {integrator_, state_.q, state_.p, options_.dt}; }
-  bool resolve_event(int first, bool stays_closed, const Instant& at, Recording& recording);
+  // What makes the steps without persistent contacts.
+  Stepper& free_stepper() {
+    return contact_step_.has_fixed_rows() ? static_cast<Stepper&>(contact_step_) : integrator_;
+  }
+  FreeState free_state(double t) { return free_state(t, options_.dt); }
+  FreeState free_state(double t, double dt) { return {free_stepper(), state_.q, state_.p, t, dt}; }
+  bool resolve_event(int first, bool stays_closed, const Instant& now, Recording& recording);
   double shortest_nominal_step() const;
   bool allows_persistent_contact() const { return law_->allows_persistent_contact() && !options_.end_at_zeno; }
-  void resume_free_motion();
+  void resume_free_motion(double t) { law_->resume(free_state(t), state_.reference); }
 
   // adaptive_step.cpp and snapshot.cpp.
   bool run_adaptive_steps(double end, double origin, const AutoSteps& steps, Recording& recording);

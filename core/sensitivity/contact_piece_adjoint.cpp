@@ -74,7 +74,25 @@ void ContactPieceAdjoint::finish() const {
   for (const Anchor& anchor : anchors_) refuse_sticking_start(anchor.point, anchor.time);
 }
 
-void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+// The gradients in the start of a step that ends with an impact from that in the scalar that DTEC conserves.
+void ContactPieceAdjoint::add_energy(double lenergy, VecX& lq, VecX& lp, double& ltime) {
+  ContactStepDirection direction;
+  VecX dq(lq.size()), dp(lq.size());
+  const auto along = [&](double& entry) {
+    entry = 1.0;
+    adjoint_.tangent().solve(direction, dq, dp);
+    entry = 0.0;
+    return lenergy * energy_change();
+  };
+  ltime += along(direction.t) - along(direction.h);
+  direction.q = direction.p = VecX::Zero(lq.size());
+  for (Eigen::Index k = 0; k < lq.size(); ++k) {
+    lq[k] += along(direction.q[k]);
+    lp[k] += along(direction.p[k]);
+  }
+}
+
+void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, double lenergy, RunGradient& result) {
   if (dense_step_ != nullptr) {
     pass_dense(lq, lp, ltime, result);
     return;
@@ -90,6 +108,7 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& r
   lq = gradient_.q;
   lp = gradient_.p;
   ltime = gradient_.t + (ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h);
+  if (lenergy != 0.0) add_energy(lenergy, lq, lp, ltime);
   result.end_step(number_, gradient_.tau);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const PersistentContact& before = s.contacts[i].before;

@@ -22,12 +22,14 @@ class ContactPieceAdjoint {
   void take(const Piece& piece, const PieceInputs& inputs);
   // Of the piece that was taken: the derivative of its end by its length, (nv,) each.
   void solve_length(VecRef fq, VecRef fp);
+  // Of the last direction: the change of the scalar that DTEC conserves, in a step that ends with an impact [J].
+  double energy_change() { return adjoint_.tangent().energy_change_before(); }
   // From the gradients in the places at which contacts stick after the piece to that in its end, before all else that
   // happens there.
   void leave_anchors(VecX& lq);
   // From the gradients in the state at the end of the piece and in the time at which the next one starts to those at
-  // its start.
-  void pass(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
+  // its start. lenergy: the gradient in the scalar that DTEC conserves.
+  void pass(VecX& lq, VecX& lp, double& ltime, double lenergy, RunGradient& result);
   // Throws NoDerivative unless what is left says that no contact stuck at the start of the run.
   void finish() const;
 
@@ -38,6 +40,7 @@ class ContactPieceAdjoint {
     Vec3 gradient;
   };
 
+  void add_energy(double lenergy, VecX& lq, VecX& lp, double& ltime);
   Vec3 take_anchor(const ContactPoint& point);
   double pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result);

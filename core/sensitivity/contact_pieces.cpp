@@ -23,9 +23,8 @@ void check_contact_piece(const RecordedRun& run, const Piece& piece) {
   if (piece.contact == nullptr && piece.dense == nullptr)
     throw NoDerivative({"dense", -1, piece.t}, "A step of the run was not kept", "all steps with contacts",
                        "a dense step that is not known", "Compute the run again with record='gradient'");
-  int guard = -1;
-  if (piece.contact != nullptr && !piece.contact->contacts.empty())
-    guard = piece.contact->contacts[0].before.point.guard;
+  if (piece.contact != nullptr && piece.contact->contacts.empty()) return;
+  const int guard = piece.contact != nullptr ? piece.contact->contacts[0].before.point.guard : -1;
   if (run.map != ImpactMap::kCtec)
     throw NoDerivative({"map", guard, piece.t}, "An implicit impact map acts in a run with persistent contacts",
                        "impact='ctec' where contacts persist", "another map", "Use impact='ctec'");
@@ -57,6 +56,8 @@ void ContactPieces::solve_length(VecRef fq, VecRef fp) {
   tangent_.solve(direction_, fq, fp);
 }
 
+double ContactPieces::energy_change() { return tangent_.energy_change_before(); }
+
 const ContactPieces::Anchor* ContactPieces::anchor_of(const ContactPoint& point) const {
   for (const Anchor& a : anchors_)
     if (same_point(a.point, point)) return &a;
@@ -71,6 +72,8 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
   const bool ends_itself = step_->ending != ContactStepEnd::kLength;
   const auto contacts = static_cast<Eigen::Index>(step_->contacts.size());
   slip_.setZero(d.count);
+  energies_.setZero(d.count);
+  const bool energies = run_->map == ImpactMap::kDtec && step_->ending == ContactStepEnd::kImpact;
   size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
   size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
   for (Eigen::Index k = 0; k < d.count; ++k) {
@@ -91,6 +94,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     }
     tangent_.solve(direction_, columns.q.col(k), columns.p.col(k));
     slip_[k] = tangent_.slip_change();
+    if (energies) energies_[k] = tangent_.energy_change_before();
     if (!ends_itself) columns.time[k] += direction_.h;
   }
   if (ends_itself && step_->ending != ContactStepEnd::kImpact) end(d, columns);

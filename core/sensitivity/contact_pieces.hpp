@@ -37,6 +37,10 @@ class ContactPieces {
   void take(const Piece& piece, const PieceInputs& inputs);
   // Of the piece that was taken: the derivative of its end by its length, (nv,) each.
   void solve_length(VecRef fq, VecRef fp);
+  // Of the last direction, and of the columns that were moved: the change of the scalar that DTEC conserves, in a step
+  // that ends with an impact [J].
+  double energy_change();
+  const VecX& energies() const { return energies_; }
   // Moves the columns to its end, or, where it ends with an impact, to the time of that.
   void move(const RunDirections& directions, RunColumns& columns);
   // Of the piece that was taken, a dense step.
@@ -70,7 +74,8 @@ class ContactPieces {
   std::vector<Anchor> anchors_;
   MatX joint_anchors_;    // of the joints with friction, (joints, count)
   VecX size_q_, size_p_;  // largest changes of q and p on the way, per column
-  VecX slip_;             // change of the slip whose end ends the piece, per column [m/s]
+  VecX energies_;
+  VecX slip_;  // change of the slip whose end ends the piece, per column [m/s]
 };
 
 }  // namespace contactvi

@@ -455,7 +455,8 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   const ContactStepRecord& s = *record_;
   const VecX dq0 = d.q.size() > 0 ? d.q : none_;
   set_start_rows(dq0);
-  StepDirection direction;
+  StepDirection& direction = step_direction_;
+  dt_ = d.t;
   direction.q = dq0;
   direction.p = dW0_ * s.lambda;
   if (d.p.size() > 0) direction.p += d.p;
@@ -495,6 +496,30 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   const int r = contact.row;
   slip_change_ = contact.outcome.slip.normalized().dot(dw_.segment<2>(r + 1)) +
                  (turn(contact.outcome.slip) * dy_.segment<2>(r + 1)).dot(frozen_.w.segment<2>(r + 1));
+}
+
+// Of the discrete energy.
+double ContactStepTangent::energy_change() {
+  StepDirection direction = step_direction_;
+  direction.p += record_->W0 * dlambda_;
+  VecX q(scene_->tree.nv), p(scene_->tree.nv);
+  if (!step_.solve(direction, q, p)) throw Error("the derivative of a step was not solved");
+  return step_.energy_change();
+}
+
+double ContactStepTangent::energy_change_after() {
+  double change = energy_change();
+  if (constraints_ == 0) return change;
+  change += dlambda_.head(constraints_).dot(start_constraints_.rates());
+  return change + record_->lambda.head(constraints_).dot(start_constraints_.accelerations()) * dt_;
+}
+
+double ContactStepTangent::energy_change_before() {
+  double change = energy_change();
+  if (constraints_ == 0) return change;
+  change -= dlambda_end_.head(constraints_).dot(end_constraints_.rates());
+  const double later = dt_ + step_direction_.h;
+  return change - record_->lambda_end.head(constraints_).dot(end_constraints_.accelerations()) * later;
 }
 
 }  // namespace contactvi

@@ -45,6 +45,11 @@ class ContactStepTangent {
   void solve(const ContactStepDirection& direction, VecRef dq1, VecRef dp1);
   // Of the last direction: that of the slip whose end ended the step, if its friction had gone on [m/s].
   double slip_change() const { return slip_change_; }
+  // Of the last direction, without parameters: the changes of the scalar that DTEC conserves, of a step after an impact
+  // and of one before it [J]. It is the discrete energy less the work that prescribed motions do at the start of the
+  // step, or plus the work that they do at its end.
+  double energy_change_after();
+  double energy_change_before();
   // The change of the place of a contact's material point in the frame of its plane, where q1 changes by dq1.
   Vec3 place_change(int contact, const VecX& dq1);
   // Distance from the nearest change of what is loaded, sticks or slips, relative to the impulses or the speeds.
@@ -63,6 +68,7 @@ class ContactStepTangent {
 
   [[noreturn]] void refuse(const char* reason, int guard, const std::string& fact, const char* expected,
                            const std::string& got, const char* remedy) const;
+  double energy_change();
   void take_contacts();
   void take_position_problem();
   void set_laws(Problem& problem, const MatX& rows);
@@ -101,6 +107,8 @@ class ContactStepTangent {
   // Along the present direction.
   MatX dW0_, dW1_;
   std::vector<Vec3> dn0_, dt1_;
+  StepDirection step_direction_;  // of the smooth step, without the changes of the position impulses
+  double dt_ = 0.0;               // of the start [s]
   VecX dv_, dp_start_, dp_minus_, dy_, base_, dlambda_, dlambda_end_, dw_, work_, none_;
 };
 

@@ -15,7 +15,6 @@ constexpr double kSameImpulse = 1e-7;
 ImpactOptions options_of(const RecordedRun& run) {
   ImpactOptions options;
   options.map = run.map;
-  options.dt = run.dt;
   options.record_contacts = false;
   return options;
 }
@@ -161,10 +160,19 @@ void ImpactTangent::take_poisson(const RecordedImpact& impact) {
 
 // The rest of the step, over which an implicit map has its equation.
 void ImpactTangent::take_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo) {
-  if (impact.map == ImpactMap::kMhc && run_->stages == 1)
-    throw NoDerivative({"map", impact.guard, impact.time},
-                       "MHC at order 2 conserves an energy whose derivative is not known",
-                       "order 4 or more, or another map", "order 2", "Use order=4, or impact='ctec'");
+  const bool constrained = projection_.any();
+  if (impact.map == ImpactMap::kMhc && (run_->stages == 1 || constrained))
+    throw NoDerivative(
+        {"map", impact.guard, impact.time}, "MHC at order 2 conserves an energy whose derivative is not known",
+        constrained ? "another map with constraints, whose steps are of order 2" : "order 4 or more, or another map",
+        constrained ? "'mhc' with constraints" : "order 2",
+        constrained ? "Use impact='dtec' or 'ctec'" : "Use order=4, or impact='ctec'");
+  const VecX none = VecX::Zero(scene_->tree.nv), along = W_.col(0);
+  if (constrained) {
+    take_constrained_rest(impact, tau, servo);
+    scalar_slope_ = rest_change(none, along, 0.0, 0.0) + offset_[0];
+    return;
+  }
   integrator_.set_time(impact.time);
   integrator_.set_servo(servo);
   integrator_.forget();
@@ -174,14 +182,38 @@ void ImpactTangent::take_rest(const RecordedImpact& impact, const VecX& tau, con
   rest_.take(impact.q, impact.p_plus, impact.after, tau, impact.time, servo, integrator_.velocities());
   if (!integrator_.node_velocity(q1_, p1_, v1_)) throw Error("the mass matrix is not positive definite");
   if (impact.map == ImpactMap::kMhc) energy_gradient(integrator_, q1_, v1_, force1_);
-  const VecX none = VecX::Zero(scene_->tree.nv), along = W_.col(0);
-  scalar_slope_ = rest_change(none, along, 0.0);
+  scalar_slope_ = rest_change(none, along, 0.0, 0.0);
   // The node of the impact again, for what follows.
   integrator_.place_node(impact.q);
 }
 
-// The derivative of the map's scalar after the impact.
-double ImpactTangent::rest_change(const VecX& dq, const VecX& dp, double dh) {
+void ImpactTangent::take_constrained_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo) {
+  if (!constrained_rest_)
+    constrained_rest_.reset(
+        new ConstrainedRest{{*scene_, guards_, guards_.manifolds()}, {}, ContactStepTangent(*scene_)});
+  auto& [step, record, tangent] = *constrained_rest_;
+  step.restart();
+  step.invalidate();
+  step.set_nominal(run_->dt);
+  step.set_time(impact.time);
+  step.set_servo(servo);
+  if (!step.solve_closely(impact.q, impact.p_plus, impact.after, tau))
+    throw Error("the rest of a recorded step was not solved");
+  record = step.record();
+  tangent.take(record, tau, servo);
+}
+
+// The derivative of the map's scalar after the impact. dt: of the time of the impact.
+double ImpactTangent::rest_change(const VecX& dq, const VecX& dp, double dh, double dt) {
+  if (projection_.any()) {
+    ContactStepDirection direction;
+    direction.q = dq;
+    direction.p = dp;
+    direction.h = dh;
+    direction.t = dt;
+    constrained_rest_->tangent.solve(direction, dq1_, dp1_);
+    return constrained_rest_->tangent.energy_change_after();
+  }
   StepDirection direction;
   direction.q = dq;
   direction.p = dp;
@@ -241,7 +273,9 @@ void ImpactTangent::apply(const ImpactDirection& d, VecRef dp, double& loss) {
            0.5 * (1.0 - e * e) * (2.0 * gamma * dgamma_[0] - gamma * gamma * dG_(0, 0) / G) / G;
   if (implicit_) {
     const VecX start = d.p + lambda_[0] * dW_.col(0);
-    dlambda[0] = (d.reference - loss - rest_change(d.q, start, d.rest)) / scalar_slope_;
+    const double driven = lambda_[0] * doffset_[0];
+    dlambda[0] = (d.reference - loss - driven - rest_change(d.q, start, d.rest, d.time)) / scalar_slope_;
+    loss += driven + dlambda[0] * offset_[0];
   } else {
     apply_law(d, dlambda);
   }

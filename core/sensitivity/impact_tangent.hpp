@@ -9,8 +9,12 @@
 // on them, whose changes are ProjectionTangent's.
 #pragma once
 
+#include <memory>
+
+#include "contact/contact_step.hpp"
 #include "geometry/contact_tangent.hpp"
 #include "impact/sequence.hpp"
+#include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/poisson_tangent.hpp"
 #include "sensitivity/projection_tangent.hpp"
@@ -45,7 +49,8 @@ class ImpactTangent {
   // W of the normal row of a point, (nv,): the gradient of its gap.
   VecX gradient(int point) const { return gradients_.col(points_[point].row); }
   const ContactTangent& contact(int point) const { return contacts_[point]; }
-  // dp+ (nv,), and the derivative of the energy that the impact takes [J].
+  // dp+ (nv,), and the derivative of the energy that the impact takes, with implicit maps also by prescribed motions
+  // [J].
   void apply(const ImpactDirection& direction, VecRef dp, double& loss);
   // Adds the gradients in the inertias of the impact, but not of an implicit map's, from the gradient in p+.
   void add_parameters(const VecX& lp, StepAdjoint& adjoint, StepParameters& sums);
@@ -63,9 +68,10 @@ class ImpactTangent {
   void take_rows(const RecordedImpact& impact);
   void take_poisson(const RecordedImpact& impact);
   void take_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo);
+  void take_constrained_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo);
   void add_row_changes(const ImpactDirection& direction);
   void apply_law(const ImpactDirection& direction, VecX& dlambda) const;
-  double rest_change(const VecX& dq, const VecX& dp, double dh);
+  double rest_change(const VecX& dq, const VecX& dp, double dh, double dt);
 
   const Scene* scene_;
   const RecordedRun* run_;
@@ -91,6 +97,13 @@ class ImpactTangent {
   // Of the rest of the step: its end, and dH/dq there; the derivative of the map's scalar along W.
   VecX q1_, p1_, v1_, force1_, dq1_, dp1_;
   double scalar_slope_ = 0;
+  // The rest of the step that constraints act in; null: of a scene without.
+  struct ConstrainedRest {
+    ContactStep step;
+    ContactStepRecord record;
+    ContactStepTangent tangent;
+  };
+  std::unique_ptr<ConstrainedRest> constrained_rest_;
 };
 
 }  // namespace contactvi

@@ -16,8 +16,8 @@ constexpr double kGrazing = 1e-6;
 bool does_work(const Tree& tree, const RecordedRun& run) {
   const Elements& e = tree.elements;
   const bool inputs = run.tau.size() > 0 && !run.tau.isZero(0);
-  return tree.has_damping || inputs || e.servo_kp.size() > 0 || !e.wrenches.empty() || !e.forces.empty() ||
-         !e.path_springs.empty();
+  return tree.has_damping || !e.friction_dofs.empty() || inputs || e.servo_kp.size() > 0 || !e.wrenches.empty() ||
+         !e.forces.empty() || !e.path_springs.empty();
 }
 
 // Whether a force may depend on time explicitly.
@@ -60,9 +60,10 @@ void check_map(const Tree& tree, const RecordedRun& run, const RecordedImpact& i
     throw NoDerivative({"map", impact.guard, impact.time}, "An implicit impact map had no answer and took another",
                        "an impact that the map itself determines", "a fallback", "Use impact='ctec'");
   if (does_work(tree, run))
-    throw NoDerivative(
-        {"map", impact.guard, impact.time}, "An implicit impact map conserves an energy that forces change",
-        "gravity and springs alone with 'mhc' and 'dtec'", "damping, inputs or other forces", "Use impact='ctec'");
+    throw NoDerivative({"map", impact.guard, impact.time},
+                       "An implicit impact map conserves an energy that forces change",
+                       "gravity and springs alone with 'mhc' and 'dtec'",
+                       "damping, joint friction, inputs or other forces", "Use impact='ctec'");
 }
 
 void check_forces_in_time(const Tree& tree, const RecordedRun& run, StepEquations& equations, const Piece& piece) {

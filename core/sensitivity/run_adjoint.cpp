@@ -143,7 +143,7 @@ void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradien
     if (!tangent_.solve(direction, fq, fp)) throw Error("the derivative of a step was not solved");
   }
   double by_time = lq_.dot(fq) + lp_.dot(fp) + ltime_ + time_gradient;
-  if (lenergy_ != 0.0) by_time += lenergy_ * tangent_.energy_change();
+  if (lenergy_ != 0.0) by_time += lenergy_ * (piece.persistent ? contact_.energy_change() : tangent_.energy_change());
   // Where several points are hit they have one time along the directions that there are: any of them tells it.
   const VecX W = impact_.gradient(hit.points.empty() ? 0 : impact_.find(*hit.points[0]));
   const double rate = W.dot(fq);
@@ -238,7 +238,8 @@ RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
     }
     if (piece.persistent) {
       if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
-      contact_.pass(lq_, lp_, ltime_, result);
+      contact_.pass(lq_, lp_, ltime_, lenergy_, result);
+      lenergy_ = 0.0;
     } else {
       pass_piece(piece, result);
     }

@@ -115,6 +115,7 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
   if (piece.persistent) {
     if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     contact_.move(d, columns_);
+    piece_energy_ = contact_.energies();
     return;
   }
   const bool at_event = piece.end == PieceEnd::kEvent;
@@ -227,7 +228,9 @@ void RunTangent::take_event(const Piece& piece, const RunDirections& d, RunDeriv
   take_impact(impact);
   // The derivative by the length of the piece, and how the event moves.
   solve_length(piece);
-  const double energy_rate = run_->map == ImpactMap::kDtec ? tangent_.energy_change() : 0.0;
+  double energy_rate = 0.0;
+  if (run_->map == ImpactMap::kDtec)
+    energy_rate = piece.persistent ? contact_.energy_change() : tangent_.energy_change();
   const Eigen::Index row = static_cast<Eigen::Index>(result.events.size());
   result.event_times.conservativeResize(row + 1, d.count);
   double approach = 1.0;

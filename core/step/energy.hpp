@@ -22,7 +22,11 @@ double largest_turn(const Tree& tree, const VecCRef& v, double h);
 // unforced system, H2 = -(G.a - dG.v + p.[v,a])/24 with a the free acceleration and dG.v the derivative of G = dL/dq
 // along the flow, against v (backward error analysis; on vector spaces -H''(J dH, J dH)/24). It varies O(h^4) where H
 // varies O(h^2).
-double modified_hamiltonian(StepEquations& equations, const VecCRef& q, const VecCRef& p, double h);
+//
+// With constraints phi(q, t) = 0, whose steps are the midpoint rule in RATTLE form (contact/contact_step.hpp), a is the
+// constrained acceleration, and their forces lambda add lambda.(W^T a)/24 to H2, with W the gradients of phi. t: the
+// time of the state [s].
+double modified_hamiltonian(StepEquations& equations, const VecCRef& q, const VecCRef& p, double h, double t = 0.0);
 
 // dH/dq at a constant momentum, shape (nv,), tangent vectors body-fixed on spherical joints; v: the velocity at (q, p).
 void energy_gradient(StepEquations& equations, const VecCRef& q, const VecCRef& v, VecRef gradient);

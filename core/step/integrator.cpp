@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "step/energy.hpp"
 #include "step/guide.hpp"
 
 namespace contactvi {
@@ -335,6 +336,10 @@ void Integrator::recall(const Memory& memory) {
   for (int i = 0; i < stages_.padded(); ++i) P.row(i) = memory.momenta.row(std::min(i, stages_.count() - 1));
   newton_ = memory.newton;
   solved_ = false;
+}
+
+double Integrator::modified_hamiltonian(double t, const VecCRef& q, const VecCRef& p, double h) {
+  return contactvi::modified_hamiltonian(*this, q, p, h, t);
 }
 
 }  // namespace contactvi

@@ -41,8 +41,7 @@ class Integrator final : public Stepper, public StepEquations {
   bool too_long() const { return too_long_; }
   // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
   double resolution() const { return iteration_.tol() * stage_motion(); }
-  // Solves it to rounding: impact maps form differences of such steps.
-  bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
   // Solves the part alpha of a step whose path is known, to rounding.
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
   // As this, to a tolerance.
@@ -53,6 +52,10 @@ class Integrator final : public Stepper, public StepEquations {
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
     return StepEquations::node_velocity(q, p, v);
   }
+  double discrete_energy() override { return StepEquations::discrete_energy(); }
+  double work() const override { return StepEquations::work(); }
+  double mean_work() const override { return StepEquations::mean_work(); }
+  double modified_hamiltonian(double t, const VecCRef& q, const VecCRef& p, double h) override;
 
   // The step just finished is taken: the next one starts from its polynomial, and from the digits that its sums lost.
   void accept();

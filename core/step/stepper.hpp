@@ -1,4 +1,5 @@
-// A one-step method as the search for events uses it: it also solves parts of the step just made, each from its start.
+// A one-step method as events and impacts use it: it also solves parts of the step just made, each from its start, and
+// tells the energies that belong to its steps.
 #pragma once
 
 #include "step/path.hpp"
@@ -24,6 +25,16 @@ class Stepper {
   virtual const MatX& rates() = 0;
   // v = M(q)^-1 p. False if M is not positive.
   virtual bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) = 0;
+
+  // As solve(), to rounding: impact maps form differences of such steps.
+  virtual bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) = 0;
+  // Of the step just solved [J]: its discrete energy; the work of all but gravity and springs in it; and how much of
+  // that is done, in the mean, before the instants whose energies the discrete energy is the mean of.
+  virtual double discrete_energy() = 0;
+  virtual double work() const = 0;
+  virtual double mean_work() const = 0;
+  // The energy that steps of length h conserve (step/energy.hpp), at a state and the time t [s].
+  virtual double modified_hamiltonian(double t, const VecCRef& q, const VecCRef& p, double h) = 0;
 };
 
 }  // namespace contactvi

@@ -109,6 +109,27 @@ def test_runs_with_contacts(name):
     assert adjoint_error(traj, "restitution") <= 1e-11
 
 
+DTEC = {
+    "a linkage bounces off a stop": (lambda: scenes.linkage_at_stop(0.7), 0.6, 1),
+    "a linkage strikes a ball": (lambda: scenes.striker(0.8, 0.0), 0.5, 1),
+    "a driven arm bounces": (lambda: scenes.driven_arm_at_wall(0.5, 0.0), 0.28, 1),
+    "a driven arm bounces again and again": (lambda: scenes.driven_arm_at_wall(0.8, 0.0), 0.6, 2),
+}
+
+
+@pytest.mark.parametrize("name", DTEC)
+def test_runs_with_dtec(name):
+    """Its equation over the rest of the step, with the work of what is driven."""
+    start, duration, impacts = DTEC[name]
+    traj, q, v = recorded(start(), duration, impact="dtec")
+    assert len(traj.events) >= impacts
+    assert not np.any(traj.events.array("fallback"))
+    options = {"duration": duration, "dt": 0.01, "impact": "dtec"}
+    steps = [constrained_differences(traj.scene, q, v, step, **options) for step in (1e-4, 5e-5)]
+    compare(traj, *steps)
+    assert transpose_error(traj, ["q0", "v0", "restitution"]) <= 1e-11
+
+
 def test_inputs_of_a_linkage():
     """The columns of the control, which acts in all steps, and their single rows."""
     traj, q, v = recorded(scenes.linkage_at_stop(0.7), 0.6)
@@ -226,3 +247,28 @@ def test_friction_that_the_constraints_make_indefinite_is_refused(mu, reason):
     with pytest.raises(cvi.NotDifferentiable) as found:
         traj.sensitivity()
     assert found.value.reason == reason
+
+
+REFUSED = {  # options, what the derivative is with respect to, part of the message
+    "mhc": ({"impact": "mhc"}, "v0", "MHC at order 2"),
+    "inputs": ({"impact": "dtec"}, "control", "depends on inputs"),
+    "gravity": ({"impact": "dtec"}, "gravity", "depends on inputs"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_implicit_maps_do_not_know_is_refused(name):
+    options, wrt, words = REFUSED[name]
+    traj, _, _ = recorded(scenes.linkage_at_stop(0.7), 0.6, **options)
+    with pytest.raises(cvi.NotDifferentiable, match=words) as found:
+        traj.sensitivity(wrt)
+    assert found.value.reason == "map"
+
+
+def test_joint_friction_beside_an_implicit_map_is_refused():
+    scene, q, v = scenes.linkage_at_stop(0.7)
+    scene.set_joint("hinge_coupler", friction=0.1)
+    traj, _, _ = recorded((scene, q, v), 0.6, impact="dtec")
+    with pytest.raises(cvi.NotDifferentiable, match="joint friction") as found:
+        traj.sensitivity()
+    assert found.value.reason == "map"
