@@ -315,14 +315,14 @@ def hands_apart(scene: cvi.Scene, q: np.ndarray) -> pin.SE3:
     return left.actInv(right)
 
 
-def gripper(wrist: str) -> Start:
-    """A gripper in a bin of eight objects, from where it closes on."""
-    rest, _, plan = clutter.settled(0, 8)
+def gripper(wrist: str, objects: int) -> Start:
+    """A gripper in a bin of objects, from where they rest."""
+    rest, _, plan = clutter.settled(0, objects)
+    places = {name: pin.SE3ToXYZQUAT(pose) for name, pose in rest.items()}
     with tempfile.TemporaryDirectory() as folder:
-        scene, q = clutter.gripper_scene(
-            0, 8, wrist, plan, {name: pin.SE3ToXYZQUAT(pose) for name, pose in rest.items()}, Path(folder)
-        )
+        scene, q = clutter.gripper_scene(0, objects, wrist, plan, places, Path(folder))
         scene.core()
+    q = scene.separate(q).q
     return scene, q, scene.consistent_velocity(q, np.zeros(scene.nv))
 
 
@@ -332,8 +332,9 @@ RECORDED: dict[str, tuple[Callable[[], Start], float, float]] = {
     "hand and ball, coupled joints": (lambda: hand(True), 0.5, 1e-3),
     "g1 on its feet": (lambda: humanoid(False), 0.3, 1e-3),
     "g1, hands joined": (lambda: humanoid(True), 0.3, 1e-3),
-    "gripper in a bin, driven pose": (lambda: gripper("pose"), 1.5, 1e-3),
-    "gripper in a bin, driven joints": (lambda: gripper("joints"), 1.5, 1e-3),
+    "gripper in a bin, driven pose": (lambda: gripper("pose", 8), 1.5, 1e-3),
+    "gripper in a bin, driven joints": (lambda: gripper("joints", 8), 1.5, 1e-3),
+    "gripper in a bin of 30": (lambda: gripper("servos", 30), 1.0, 1e-3),
 }
 
 
