@@ -292,8 +292,8 @@ class AccuracyWarning(UserWarning):
     """A run is less accurate than was asked or is promised.
 
     With dt="auto" it did not reach `tol`, and `Trajectory.error_estimate` is what it reached; or bodies overlap, or the
-    energy rose, by more than what is documented as the error of a step (`Trajectory.contact_changes` with "overlap",
-    `Trajectory.dense_steps`).
+    energy rose, by more than what is documented as the error of a step, or dense steps did not meet Coulomb's law by
+    half of the speeds (`Trajectory.contact_changes` with "overlap", `Trajectory.dense_steps`).
     """
 
 

@@ -116,6 +116,18 @@ def test_an_overlap_beyond_what_is_promised_is_told():
     assert "'ground' and 'ball' by 2e-08 m at t = 0.005 s" in told
 
 
+def test_dense_steps_that_miss_the_law_are_told():
+    """Where the residual of Coulomb's law is above a half, a run says so in every contact mode."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, 1.0, placement=(0, 0, 0.1))
+    traj = cvi.simulate(scene, duration=0.01, dt=1e-3, contact_mode="steps")
+    assert broken_promises(traj) == []
+    traj.dense_steps["residual"][3:5] = 0.2, 0.7
+    (told,) = broken_promises(traj)
+    assert "not met in 1 of 10 dense steps: by up to 0.7 of the largest free speed, at t = 0.004 s" in told
+
+
 def two_falling(seed: int, first: str) -> tuple[cvi.Scene, np.ndarray]:
     """A box or a cylinder, and a cylinder, which fall on the ground and on each other."""
     rng, scene = np.random.default_rng(seed), cvi.Scene()
