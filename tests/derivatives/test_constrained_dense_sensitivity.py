@@ -90,7 +90,9 @@ def test_runs_with_contacts(name):
     assert len(traj.dense_steps) > 0
     reasons = {step.reason for step in traj.sensitivity().report.dense_steps if step.reason}
     assert reasons <= ({HELD} if "with joint friction" in name else set())
-    compare(traj, start, (1e-5, 5e-6), duration=duration, dt=dt)
+    # In the leg with joint friction another contact is held open within a change of 1e-5.
+    step = 1e-6 if "leg with a loop and joint friction" in name else 1e-5
+    compare(traj, start, (step, 0.5 * step), duration=duration, dt=dt)
     assert transpose_error(traj, wrt_of(start[0])) <= 1e-11
 
 

@@ -143,7 +143,7 @@ def test_bodies_and_robots(name):
     if scene.nv > 12:
         directions = np.random.default_rng(0).standard_normal((2 * scene.nv, 3))
         directions /= np.linalg.norm(directions, axis=0)
-    small = scene.nv > 12 or "box" in name or "trough" in name or "ball on" in name or "rim" in name
+    small = scene.nv > 12 or "box" in name or "trough" in name or "ball on" in name or "rim" in name or "halved" in name
     compare(S, start, directions, (1e-5, 5e-6) if small else (1e-4, 5e-5), options)
 
 
