@@ -15,17 +15,24 @@ using Block = SquareMap<N>;
 template <int N>
 using Column = Eigen::Map<Eigen::Matrix<double, N, 1>>;
 
+// Exchanges row k of A with that of the largest pivot in its column; returns which one that was.
+template <int N>
+int take_pivot(Block<N>& A, int k) {
+  const int n = static_cast<int>(A.rows());
+  int pivot = k;
+  for (int i = k + 1; i < n; ++i)
+    if (std::abs(A(i, k)) > std::abs(A(pivot, k))) pivot = i;
+  if (pivot != k)
+    for (int j = 0; j < n; ++j) std::swap(A(k, j), A(pivot, j));
+  return pivot;
+}
+
 // Inverse in place by elimination with pivots of the column. rows: workspace (n,).
 template <int N>
 bool invert_general(Block<N> A, int* rows) {
   const int n = static_cast<int>(A.rows());
   for (int k = 0; k < n; ++k) {
-    int pivot = k;
-    for (int i = k + 1; i < n; ++i)
-      if (std::abs(A(i, k)) > std::abs(A(pivot, k))) pivot = i;
-    rows[k] = pivot;
-    if (pivot != k)
-      for (int j = 0; j < n; ++j) std::swap(A(k, j), A(pivot, j));
+    rows[k] = take_pivot<N>(A, k);
     const double inverse = 1.0 / A(k, k);
     if (!std::isfinite(inverse)) return false;
     A(k, k) = 1.0;
@@ -48,12 +55,7 @@ bool invert_general(Block<N> A, int* rows) {
 bool factor_general(SquareMap<Eigen::Dynamic> A, int* rows) {
   const int n = static_cast<int>(A.rows());
   for (int k = 0; k < n; ++k) {
-    int pivot = k;
-    for (int i = k + 1; i < n; ++i)
-      if (std::abs(A(i, k)) > std::abs(A(pivot, k))) pivot = i;
-    rows[k] = pivot;
-    if (pivot != k)
-      for (int j = 0; j < n; ++j) std::swap(A(k, j), A(pivot, j));
+    rows[k] = take_pivot<Eigen::Dynamic>(A, k);
     const double inverse = 1.0 / A(k, k);
     if (!std::isfinite(inverse)) return false;
     for (int i = k + 1; i < n; ++i) A(i, k) *= inverse;

@@ -38,6 +38,13 @@ const Eigen::LLT<MatX>& BlockMasses::factor(int block) const {
   return b.factor;
 }
 
+// By what is made for the products anyway.
+bool BlockMasses::positive(int block) const {
+  const MatX& inverse = blocks_[block].inverse;
+  if (inverse.size() == 0 || !inverse.allFinite()) return inverse.size() == 0;
+  return inverse.rows() > kSmall ? factor(block).info() == Eigen::Success : (*this)[block].allFinite();
+}
+
 double BlockMasses::product(int block, const VecCRef& x, const VecCRef& y) const {
   const Eigen::Index n = x.size();
   if (!blocks_[block].has_masses && n > kSmall) {

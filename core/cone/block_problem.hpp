@@ -37,6 +37,7 @@ class BlockMasses {
   const MatX& inverse(int block) const { return blocks_[block].inverse; }
   const MatX& operator[](int block) const;
   const Eigen::LLT<MatX>& factor(int block) const;  // C
+  bool positive(int block) const;
   // x.M y of vectors of one block [J].
   double product(int block, const VecCRef& x, const VecCRef& y) const;
 

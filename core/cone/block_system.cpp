@@ -97,8 +97,8 @@ bool BlockSystem::check_masses(const BlockProblem& problem) {
   if (problem.M.count() != problem.blocks()) return false;
   for (int block = 0; block < problem.blocks(); ++block) {
     const MatX& inverse = problem.M.inverse(block);
-    if (inverse.rows() != problem.size(block) || inverse.cols() != problem.size(block) || !inverse.allFinite())
-      return false;
+    if (inverse.rows() != problem.size(block) || inverse.cols() != problem.size(block)) return false;
+    if (!problem.M.positive(block)) return false;
   }
   return true;
 }

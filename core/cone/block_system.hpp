@@ -1,5 +1,5 @@
-// A prepared block problem: M^-1 W^T of each contact, the contacts' own matrices, and the
-// products that the stages of the solver need.
+// A prepared block problem: M^-1 W^T of each contact, the contacts' own matrices, and the products that the stages of
+// the solver need.
 #pragma once
 
 #include <vector>
@@ -11,7 +11,7 @@ namespace contactvi {
 
 class BlockSystem {
  public:
-  // Reads masses, contacts and W; false if they are not finite or the rows do not fit together.
+  // Reads masses, contacts and W; false if they are not finite, a mass is not positive or the rows do not fit together.
   bool prepare(const BlockProblem& problem);
   // Reads what may change between solves, and the scale of speeds; false if it is not finite.
   bool start(const BlockProblem& problem);

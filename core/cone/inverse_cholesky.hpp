@@ -3,8 +3,8 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 #include "base/numerics.hpp"
 

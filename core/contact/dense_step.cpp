@@ -153,7 +153,15 @@ bool DenseStep::solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, con
   }
   if (!iterate_stage()) return false;
   take_masses();
+  if (!masses_are_positive()) return fail("the masses of a dense step are not positive");
   v_free_ = v_;
+  return true;
+}
+
+bool DenseStep::masses_are_positive() const {
+  const BlockProblem& problem = rows_.problem();
+  for (int b = 0; b < problem.blocks(); ++b)
+    if (!problem.M.positive(b)) return false;
   return true;
 }
 
@@ -363,6 +371,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   }
   work_ = v1_;
   rows_.set_masses([this](MatX& X) { integrator_.solve_masses(X); });
+  if (!masses_are_positive()) return fail("the masses of a dense step are not positive");
   rows_.set(all, active_, true, guards_->placements(), h_);
   BlockProblem& problem = rows_.problem();
   if (constrained()) {

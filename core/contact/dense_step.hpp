@@ -130,6 +130,7 @@ class DenseStep {
   bool constraints_met();
   VecX momentum(const VecX& v) const;
   VecX multipliers(const VecX& dv, const VecX& lambda) const;
+  bool masses_are_positive() const;
   void bound_velocities();
   bool position_impulses();
   bool position_problem();

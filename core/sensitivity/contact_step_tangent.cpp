@@ -158,23 +158,18 @@ void ContactStepTangent::check_laws() {
 void ContactStepTangent::take_position_problem() {
   const ContactStepRecord& s = *record_;
   const int n = scene_->tree.nv;
-  for (MatX* X : {&Q_, &P_, &V_}) X->resize(n, rows_);
   Y_.resize(rows_, rows_);
   dW0_.resize(n, rows_);
   dW1_.resize(n, rows_);
   set_start_rows(none_);
-  StepDirection unit;
+  if (!step_.unit_changes(s.W0.leftCols(rows_), Q_, P_, V_))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
   const ContactStepDirection nothing;
-  VecX dq(n), dp(n), dy;
+  VecX dy;
   for (int r = 0; r < rows_; ++r) {
-    unit.p = s.W0.col(r);
-    if (!step_.solve(unit, dq, dp))
-      refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
-             "Use a smaller dt");
-    step_.velocity_change(0, dv_);
-    Q_.col(r) = dq;
-    P_.col(r) = dp;
-    V_.col(r) = dv_;
+    const VecX dq = Q_.col(r);
+    dv_ = V_.col(r);
     set_end_rows(dq);
     row_changes(none_, dq, dv_, nothing, dy);
     Y_.col(r) = dy;

@@ -146,20 +146,9 @@ void DenseStepTangent::take_free(const VecX& tau, const Servo* servo) {
 
 // Of a step: the changes of its end, of the momentum there and of the velocity per unit of the first impulses.
 void DenseStepTangent::unit_changes(StepTangent& step, int rows, MatX& Q, MatX& P, MatX& V) {
-  const int n = scene_->tree.nv;
-  for (MatX* X : {&Q, &P, &V}) X->resize(n, rows);
-  StepDirection unit;
-  VecX dq(n), dp(n), dv(n);
-  for (int row = 0; row < rows; ++row) {
-    unit.p = record_->W0.col(row);
-    if (!step.solve(unit, dq, dp))
-      refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
-             "Use a smaller dt");
-    step.velocity_change(0, dv);
-    Q.col(row) = dq;
-    P.col(row) = dp;
-    V.col(row) = dv;
-  }
+  if (!step.unit_changes(record_->W0.leftCols(rows), Q, P, V))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
 }
 
 void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* servo) {

@@ -62,6 +62,17 @@ void StepTangent::velocity_change(int stage, VecRef dv) const {
   for (int d = 0; d < tree_->nv; ++d) dv[d] = shadow(stages_.v_)[d * S + stage];
 }
 
+bool StepTangent::unit_changes(const Eigen::Ref<const MatX>& W, MatX& Q, MatX& P, MatX& V) {
+  for (MatX* X : {&Q, &P, &V}) X->resize(W.rows(), W.cols());
+  StepDirection unit;
+  for (Eigen::Index k = 0; k < W.cols(); ++k) {
+    unit.p = W.col(k);
+    if (!solve(unit, Q.col(k), P.col(k))) return false;
+    velocity_change(0, V.col(k));
+  }
+  return true;
+}
+
 void StepTangent::configuration_change(int stage, VecRef dq) const {
   const int S = stages_.padded();
   for (int d = 0; d < tree_->nv; ++d)

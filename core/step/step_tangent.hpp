@@ -40,6 +40,9 @@ class StepTangent {
   void resume(const StepDirection& direction, const MatX& dv, const MatX& dX);
   // Of the last direction: the change of the velocity at a stage, (nv,).
   void velocity_change(int stage, VecRef dv) const;
+  // Of a step with one stage: what the momenta W, (nv, m), at its start change its end (Q, P) and its velocity V by,
+  // all (nv, m). False if an equation was not solved.
+  bool unit_changes(const Eigen::Ref<const MatX>& W, MatX& Q, MatX& P, MatX& V);
   // The tangent vector by which the configuration at a stage moves, (nv,).
   void configuration_change(int stage, VecRef dq) const;
   // The stages, and the change of an array of theirs (X, v, P or G with all forces).
