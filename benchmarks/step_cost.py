@@ -1,6 +1,7 @@
 """Cost of an evaluation, of a smooth step and of an impact, beside rnea and aba of Pinocchio in the same run.
 
     python benchmarks/step_cost.py [--steps 2000] [--models "Allegro hand"]
+    python benchmarks/step_cost.py --standing    robots on their feet: dense steps beside those with located events
 
 Times are the fastest of several blocks: contactvi's measured in C++, with no Python in the loop; those of Pinocchio of
 calls from Python, less what a call takes. Machines are noisy: quote the ratios.
@@ -11,13 +12,17 @@ calls from Python, less what a call takes. Machines are noisy: quote the ratios.
   instruction set; the error is that of q after 0.1 s against a run of order 16 with a step four times shorter.
 - Midpoint step of the Allegro hand at h = 1e-3, tol 1e-12 in units of one rnea: at most 3 is wanted.
 - Impact: median time of steps with one impact less that of steps without, midpoint rule.
+- Standing: robots of scale/scale_scenes.py that servos hold, put on the ground and let stand for 1.2 s; then .2 s at
+  1 ms in each contact mode, the fastest of three.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import timeit
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -26,8 +31,12 @@ import contactvi as cvi
 from contactvi import _core
 from models import all_models, start, with_floor
 
+sys.path.insert(0, str(Path(__file__).parent / "scale"))
+import scale_scenes
+
 STEPS = {2: 1e-3, 4: 5e-3, 8: 1e-2, 12: 2e-2, 16: 2e-2}  # order -> h [s]
 ENDS = 0.1  # s, where the error is taken
+STANDS = 0.2  # s, of a robot on its feet
 
 
 def engine(scene: cvi.Scene, dt: float, order: int = 2, tol: float = 1e-12) -> _core.Simulator:
@@ -143,11 +152,37 @@ def step_rows(name: str, scene: cvi.Scene, steps: int, rnea: float, aba: float) 
     return rows
 
 
+def standing_rows() -> list[dict[str, float | str]]:
+    """Time of a step of robots that stand, in both contact modes."""
+    rows: list[dict[str, float | str]] = []
+    for name in ("anymal_c", "hyq", "a1", "g1", "icub"):
+        made = scale_scenes.robot(name)
+        q = made.q0.copy()
+        q[2] -= scale_scenes.DROP - 1e-6
+        rest = cvi.simulate(made.scene, q, made.v0, 1.2, dt=1e-3)
+        seconds = {}
+        for mode in ("events", "steps"):
+            runs = [
+                cvi.simulate(made.scene, rest.q[-1], rest.v[-1], STANDS, dt=1e-3, contact_mode=mode) for _ in range(3)
+            ]
+            seconds[mode] = min(run.stats.seconds for run in runs) / (STANDS / 1e-3)
+        rows.append({
+            "robot": name, "nv": made.scene.nv, "events us": 1e6 * seconds["events"],
+            "dense us": 1e6 * seconds["steps"],
+            "ratio": seconds["steps"] / seconds["events"],
+        })  # fmt: skip
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=2000, help="of 1e-3 s; a tenth of it for large models")
     parser.add_argument("--models", default="")
+    parser.add_argument("--standing", action="store_true")
     args = parser.parse_args()
+    if args.standing:
+        print_table("Robots that stand, h = 1e-3 s", standing_rows())
+        return
     tables: dict[str, list[dict[str, float | str]]] = {"base": [], "evaluations": [], "steps": [], "impacts": []}
     for name, model in all_models().items():
         if args.models and name not in args.models.split(","):
