@@ -96,10 +96,8 @@ class Built:
         """What of the scene needs steps of one length, in words; None where nothing does."""
         found, arrays = self.elements, self.arrays
         reasons = {
-            "constraints": bool(found.constraints),
             "joint friction": bool(np.any(arrays.joint_friction)),
             "servos": bool(np.any(arrays.servo[:2])),
-            "wrenches that vary": found.time_varying,
             "forces given in Python": bool(found.forces),
         }
         return next((what for what, is_there in reasons.items() if is_there), None)

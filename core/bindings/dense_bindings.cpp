@@ -35,7 +35,7 @@ std::tuple<Array2, Array2> dense(const Scene& s, const Dict& segments, const Vec
     throw Error("the segments do not belong to this scene and order");
   SegmentPaths paths(tree, stages,
                      {n, t.data(), h.data(), q.data(), p.data(), p1.data(), rates.data(), persistent.data()});
-  Integrator integrator(tree, stages, tol, kMostIterations);
+  Integrator integrator(tree, stages, tol, kMostIterations, true);
   Rows found_q(times.size(), tree.nq), found_v(times.size(), tree.nv);
   VecX qi(tree.nq), vi(tree.nv);
   for (Eigen::Index k = 0; k < times.size(); ++k) {

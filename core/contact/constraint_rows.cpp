@@ -3,7 +3,7 @@
 #include <cmath>
 #include <limits>
 
-#include "contact/constraint_check.hpp"
+#include "model/constraint_check.hpp"
 #include "contact/contact_step.hpp"
 #include "model/constraints.hpp"
 

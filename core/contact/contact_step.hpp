@@ -48,9 +48,11 @@ class ContactStep final : public Stepper {
   const std::vector<PersistentContact>& contacts() const { return contacts_; }
   // True if a step needs no impulses: there are no persistent contacts, constraints or joints with friction.
   bool empty() const { return contacts_.empty() && !has_fixed_rows(); }
+  // Smooth steps keep the constraints as long as no contacts persist.
+  void leave_constraints_to_smooth_steps() { constraints_alone_ = false; }
   bool constrained() const { return bilateral_ > 0; }
   // Whether constraints or joint friction make every step one of these.
-  bool has_fixed_rows() const { return bilateral_ + friction_rows_ > 0; }
+  bool has_fixed_rows() const { return (constraints_alone_ ? bilateral_ : 0) + friction_rows_ > 0; }
   void set_time(double t) { integrator_.set_time(t); }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // From now on the contact problems of steps are kept there; null: no longer.
@@ -252,6 +254,7 @@ class ContactStep final : public Stepper {
   Reduction reduction_;
   int bilateral_ = 0, friction_rows_ = 0;  // rows of constraints, of joint friction; those of the contacts follow
   int violated_constraint_ = -1;
+  bool constraints_alone_ = true;
   VecX fixed_force_;  // of the rows of constraints and joint friction in the last step
   int rows_ = 0;
   bool iterated_ = false;  // whether the gap of some contact is the end of Newton's method, which rounds more

@@ -1,5 +1,5 @@
 // DenseStep: constraints, as equations beside the laws of contact.
-#include "contact/constraint_check.hpp"
+#include "model/constraint_check.hpp"
 #include "contact/dense_step.hpp"
 #include "model/constraints.hpp"
 #include "step/path.hpp"

@@ -145,11 +145,15 @@ inline void residuals(const G& g) {
       px.x = start.x + stage_sum(g, w.px, j.dof);
       px.y = start.y + stage_sum(g, w.px, j.dof + 1);
       px.z = start.z + stage_sum(g, w.px, j.dof + 2);
+      if (w.impulse) px = px + g.at3(w.impulse, j.dof);
       const V3<V> p = jacobian_inverse_transpose(rotation(g.at3(w.X, j.dof)), px);
       g.put3(w.dv, j.dof, p - g.at3(w.P, j.dof));
     } else {
       for (int d = j.dof; d < j.dof + (j.type == kLaneTranslate ? 3 : 1); ++d)
         g.put(w.dv, d, (g.number(w.p0, d) + stage_sum(g, w.G, d)) - g.at(w.P, d));
+      if (w.impulse)
+        for (int d = j.dof; d < j.dof + (j.type == kLaneTranslate ? 3 : 1); ++d)
+          g.put(w.dv, d, g.at(w.dv, d) + g.at(w.impulse, d));
     }
   }
 }

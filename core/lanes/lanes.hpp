@@ -70,6 +70,7 @@ struct LaneWork {
   const double* base;       // angle (its frame's constant turn included) or displacement
   const double* ball_base;  // [ball * 9]: B, row-major
   const double* p0;
+  const double* impulse;  // per dof and stage, added to the (chart) momentum of the stage; null: none
   // Linear forces -stiffness (deflection + X) - damping v + tau per dof; null: none.
   const double *stiffness, *deflection, *damping, *tau;
   // Per dof and stage.

@@ -132,8 +132,9 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
     const double step_start = section.begin + in_section * h;
     const bool made = advance_interval(step_start, h, no_force, recording), solved = made || truncation_.too_long;
     truncation_.limited = false;
-    const bool retry =
-        state_.status.code == StatusCode::kNewtonFailed || state_.status.code == StatusCode::kEventUnresolved;
+    const StatusCode code = state_.status.code;
+    const bool retry = code == StatusCode::kNewtonFailed || code == StatusCode::kEventUnresolved ||
+                       (code == StatusCode::kConstraint && contact_step_.empty());
     if (!solved && !retry) return false;
     const double seen = solved ? truncation_.largest : std::numeric_limits<double>::infinity();
     const double iterations = static_cast<double>(truncation_.iterations);

@@ -78,6 +78,7 @@ bool advance_state(Integrator& integrator, Guide& guide, double t, double h, Vec
     int solved = 0;
     for (; solved < parts; ++solved) {
       integrator.forget();
+      integrator.set_time(t + solved * length);
       integrator.lead(&guide, t + solved * length);
       if (!integrator.solve(q, p, length, VecX())) break;
       integrator.finish(q1, p1);
@@ -147,7 +148,7 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
   const std::vector<std::size_t> nodes =
       over_time ? nodes_over_time(t, both, times) : nodes_in_parts(t, both, times, paths);
   Guide guide(tree, arrays_of(other.recording.segments), impact_times(other.recording));
-  Integrator integrator(tree, options.stages, options.tol, options.max_iterations);
+  Integrator integrator(tree, options.stages, options.tol, options.max_iterations, keeps_constraints(tree, options));
   VecX apart(static_cast<Eigen::Index>(nodes.size())), q(tree.nq), p(tree.nv);
   for (std::size_t k = 0; k < nodes.size(); ++k) {
     const double time = t[nodes[k]];
@@ -209,7 +210,7 @@ double first_step_error(const Scene& scene, const SimulatorOptions& options, con
   starts.erase(std::unique(starts.begin(), starts.end()), starts.end());
   SegmentPaths paths(tree, options.stages, arrays_of(s));
   Guide guide(tree, arrays_of(s), impacts);
-  Integrator integrator(tree, options.stages, options.tol, kMostIterations);
+  Integrator integrator(tree, options.stages, options.tol, kMostIterations, keeps_constraints(tree, options));
   VecX whole(tree.nq);
   double worst = 0.0;
   for (const std::size_t start : starts) {

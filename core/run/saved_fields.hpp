@@ -105,8 +105,8 @@ void fields(Archive& a, StartValues::History& x) {
 
 template <class Archive>
 void fields(Archive& a, Integrator::Memory& x) {
-  auto& [start, carry_q, carry_p, momenta, newton] = x;
-  values(a, start, carry_q, carry_p, momenta, newton);
+  auto& [start, carry_q, carry_p, momenta, forces, newton] = x;
+  values(a, start, carry_q, carry_p, momenta, forces, newton);
 }
 
 template <class Archive>

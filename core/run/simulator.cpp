@@ -25,13 +25,19 @@ bool dissipates(const Tree& tree) {
 
 }  // namespace
 
+// Of the scene's constraints, in flight: order 2 and joint friction are those of contact steps, and so are steps whose
+// derivatives are wanted.
+bool keeps_constraints(const Tree& tree, const SimulatorOptions& options) {
+  return options.stages > 1 && !options.gradient && tree.elements.friction_dofs.empty();
+}
+
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),
       options_(options),
       law_(&impact_law(options.impact)),
       dissipative_(dissipates(scene.tree)),
       does_work_(scene_does_work()),
-      integrator_(scene.tree, options.stages, options.tol, options.max_iterations),
+      integrator_(scene.tree, options.stages, options.tol, options.max_iterations, keeps_constraints(scene.tree, options)),
       guards_(scene, options.contact_points),
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds()),
@@ -54,6 +60,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
   state_.q.setZero(scene.tree.nq);
   state_.p.setZero(scene.tree.nv);
   if (options.gradient) dense_step_.keep_records();
+  if (integrator_.constraints()) contact_step_.leave_constraints_to_smooth_steps();
 }
 
 void Simulator::join(SideBySide& company) {
@@ -245,6 +252,8 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
       return false;
     }
     if (!last_try) return false;
+    const StageConstraints* constraints = integrator_.constraints();
+    if (constraints && constraints->violated() >= 0) return end_violated(constraints->violated(), time);
     const bool finite = in_range(state_.q, state_.p);
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
                std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
@@ -387,7 +396,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const Event& event = finder_.event();
   const double at = interval.start + interval.done, before = event.alpha * h;
   if (before > 0.0) {
-    state_.work.add(WorkAccount::FreeWork{integrator_.input_work(), integrator_.damping_loss()});
+    state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);
   }

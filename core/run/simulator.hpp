@@ -51,6 +51,9 @@ struct SimulatorOptions {
   ContactSteps contact_steps = ContactSteps::kAuto;
 };
 
+// Whether the smooth steps of a run keep the scene's constraints; else contact steps do.
+bool keeps_constraints(const Tree& tree, const SimulatorOptions& options);
+
 // Called about ten times a second with (time [s], impacts so far); false asks the run to stop.
 using Progress = std::function<bool(double, long)>;
 

@@ -10,14 +10,18 @@ void WorkAccount::start(double t, int constraint_rows, bool does_work) {
   tally_.node_time = t;
 }
 
-WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) const {
+WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) {
   if (!tally_.does_work) return {};
-  return {integrator.input_work(), integrator.damping_loss()};
+  const StageConstraints* constraints = integrator.constraints();
+  if (constraints) seen_ = constraints->impulses();
+  return {integrator.input_work(), integrator.damping_loss(), constraints ? constraints->work() : 0.0};
 }
 
 void WorkAccount::add(const FreeWork& work) {
   tally_.input += work.input;
   tally_.damping += work.damping;
+  tally_.driven += work.driven;
+  if (seen_.size() > 0) tally_.reactions += seen_;
 }
 
 void WorkAccount::add(const ContactStep& step) {

@@ -28,9 +28,9 @@ class WorkAccount {
 
   // Works of one smooth step [J], taken before the integrator solves another one.
   struct FreeWork {
-    double input = 0, damping = 0;
+    double input = 0, damping = 0, driven = 0;
   };
-  FreeWork of(const Integrator& integrator) const;
+  FreeWork of(const Integrator& integrator);
   void add(const FreeWork& work);
   void add(const ContactStep& step);
   void add(const DenseStep& step);
@@ -46,6 +46,7 @@ class WorkAccount {
 
  private:
   WorkTally tally_;
+  VecX seen_;  // impulses of the constraints in the step that of() was last asked for; empty: none
 };
 
 }  // namespace contactvi

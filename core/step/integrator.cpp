@@ -23,13 +23,34 @@ bool can_fly(const Tree& tree) {
 }
 }  // namespace
 
-Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations)
+Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations, bool constrained)
     : StepEquations(tree, stages),
       iteration_(tol, max_iterations),
       ahead_(tree.nq, tree.nv, model_.lanes.balls > 0),
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
-      v0_(tree.nv) {}
+      v0_(tree.nv) {
+  if (!constrained || tree.elements.constraint_rows == 0) return;
+  constraints_ = std::make_unique<StageConstraints>(tree, stages);
+  q1_.resize(tree.nq);
+  p1_.resize(tree.nv);
+  momentum_ = &constraints_->start_momentum();
+}
+
+void Integrator::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
+  StepEquations::begin(q0, p0, h, tau, after);
+  if (constraints_) constraints_->begin(q0_, p0_, time_ + after, h);
+}
+
+// Of a step that is solved: whether it ends as it should.
+bool Integrator::ends_well() {
+  if (turns_too_far()) return false;
+  if (!constraints_) return true;
+  StepEquations::finish(q1_, p1_);
+  if (constraints_->close(*this, stages_, q1_, p1_)) return true;
+  why_ = "the constraints cannot be met";
+  return false;
+}
 
 bool Integrator::solve_stages() {
   solved_ = false;
@@ -42,10 +63,13 @@ bool Integrator::solve_stages() {
   looks_at_truncation_ = limits_truncation();
   if (lanes_ != nullptr) company_->iterate(*this, *lanes_);
   while (iteration_.goes_on()) {
-    iterate_stages(iteration_.flags());
+    const int flags = iteration_.flags();
+    if (constraints_) constraints_->place_nodes(stages_);
+    iterate_stages(flags);
+    if (constraints_) constraints_->correct(stages_, stiff_, (flags & kLaneFactor) != 0);
     judge_iteration();
     if (exceeds_truncation()) return false;
-    if (iteration_.accelerates()) accelerate();
+    if (iteration_.accelerates() && !constraints_) accelerate();
   }
   residual_ = iteration_.error();
   if (iteration_.converged()) newton_ = iteration_.newton();
@@ -75,7 +99,10 @@ bool Integrator::exceeds_truncation() {
 
 void Integrator::judge_iteration() {
   ++stage_iterations_;
-  iteration_.judge(stages_);
+  if (constraints_)
+    iteration_.judge(stages_, constraints_->rounding());
+  else
+    iteration_.judge(stages_);
   if (iteration_.forgets_acceleration()) acceleration_.clear();
 }
 
@@ -116,7 +143,7 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   why_ = "";
   too_long_ = false;
   const int s = stages_.count();
-  const auto fits = [this] { return !too_long_ && !turns_too_far(); };
+  const auto fits = [this] { return !too_long_ && ends_well(); };
   if (again && settles()) return fits();
   Guide* guide = std::exchange(guide_, nullptr);
   if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && settles()) return fits();
@@ -221,6 +248,11 @@ void Integrator::accept_ahead(int after) {
 }
 
 void Integrator::finish(VecRef q1, VecRef p1) {
+  if (constraints_) {
+    q1 = q1_;
+    p1 = p1_;
+    return;
+  }
   if (!from_ahead_) return StepEquations::finish(q1, p1);
   const int nq = tree_->nq, nv = tree_->nv;
   std::copy_n(ahead_.next(0, StepsAhead::kQ), nq, q1.data());
@@ -252,6 +284,7 @@ bool Integrator::start_by_ramp(const VecX& tau) {
     }
     start_.add_piece(stages_, done, h);
     start_.push(stages_, h);
+    if (constraints_ && !ends_well()) return false;
     finish(q1, p1);
     q = q1;
     p = p1;
@@ -286,7 +319,7 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
   iteration_.set_tol(tol);
   const bool solved = solve_stages() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), solve_stages()));
   iteration_.set_tol(own);
-  return solved && !turns_too_far();
+  return solved && ends_well();
 }
 
 void Integrator::accept() {
@@ -294,6 +327,7 @@ void Integrator::accept() {
   carry_q_.swap(next_carry_q_);
   carry_p_.swap(next_carry_p_);
   start_.push(stages_, h_);
+  if (constraints_) constraints_->accept();
   if (from_ahead_) ahead_.advance(1);
   from_ahead_ = false;
 }
@@ -304,6 +338,7 @@ void Integrator::forget() {
   carry_q_.setZero();
   carry_p_.setZero();
   start_.forget();
+  if (constraints_) constraints_->forget();
 }
 
 void Integrator::join(LaneCompany* company) {
@@ -324,7 +359,12 @@ void Integrator::start_anew() {
 Integrator::Memory Integrator::memory() {
   solved_ = from_ahead_ = false;  // the stages are not remembered
   const Eigen::Map<const MatX> P(stages_.P(), stages_.padded(), tree_->nv);
-  return {start_.history(), carry_q_, carry_p_, P.topRows(stages_.count()), newton_};
+  return {start_.history(),
+          carry_q_,
+          carry_p_,
+          P.topRows(stages_.count()),
+          constraints_ ? constraints_->forces() : VecX(),
+          newton_};
 }
 
 void Integrator::recall(const Memory& memory) {
@@ -335,6 +375,7 @@ void Integrator::recall(const Memory& memory) {
   Eigen::Map<MatX> P(stages_.P(), stages_.padded(), tree_->nv);
   for (int i = 0; i < stages_.padded(); ++i) P.row(i) = memory.momenta.row(std::min(i, stages_.count() - 1));
   newton_ = memory.newton;
+  if (constraints_ && memory.constraint_forces.size() > 0) constraints_->start_from(memory.constraint_forces);
   solved_ = false;
 }
 

@@ -6,10 +6,12 @@
 #pragma once
 
 #include <limits>
+#include <memory>
 
 #include "step/anderson.hpp"
 #include "step/lane_company.hpp"
 #include "step/path.hpp"
+#include "step/stage_constraints.hpp"
 #include "step/stage_iteration.hpp"
 #include "step/start_values.hpp"
 #include "step/step_equations.hpp"
@@ -23,8 +25,8 @@ class Guide;
 class Integrator final : public Stepper, public StepEquations {
  public:
   // tol: relative error of the stage velocities, in the energy norm; at most max_iterations from each set of start
-  // values.
-  Integrator(const Tree& tree, int stages, double tol, int max_iterations);
+  // values. constrained: its steps keep the tree's constraints, if there are any.
+  Integrator(const Tree& tree, int stages, double tol, int max_iterations, bool constrained = false);
 
   int stages() const override { return StepEquations::stages(); }
   // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
@@ -53,8 +55,12 @@ class Integrator final : public Stepper, public StepEquations {
     return StepEquations::node_velocity(q, p, v);
   }
   double discrete_energy() override { return StepEquations::discrete_energy(); }
-  double work() const override { return StepEquations::work(); }
-  double mean_work() const override { return StepEquations::mean_work(); }
+  double work() const override { return StepEquations::work() + (constraints_ ? constraints_->work() : 0.0); }
+  double mean_work() const override {
+    return StepEquations::mean_work() + (constraints_ ? constraints_->mean_work() : 0.0);
+  }
+  // Those of the step just solved; null: it has none.
+  const StageConstraints* constraints() const { return constraints_.get(); }
   double modified_hamiltonian(double t, const VecCRef& q, const VecCRef& p, double h) override;
 
   // The step just finished is taken: the next one starts from its polynomial, and from the digits that its sums lost.
@@ -80,6 +86,7 @@ class Integrator final : public Stepper, public StepEquations {
     StartValues::History start;
     VecX carry_q, carry_p;
     MatX momenta;  // at the stages, (stages, nv): the first iteration measures with them
+    VecX constraint_forces;
     bool newton = false;
   };
   Memory memory();
@@ -100,6 +107,8 @@ class Integrator final : public Stepper, public StepEquations {
   void count_ahead(int after);
   bool solve_stages();
   bool settles();
+  void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after = 0.0);
+  bool ends_well();
   bool limits_truncation() const { return truncation_limit_ < std::numeric_limits<double>::infinity(); }
   bool exceeds_truncation();
   void judge_iteration();
@@ -108,6 +117,8 @@ class Integrator final : public Stepper, public StepEquations {
   bool turns_too_far();
 
   StageIteration iteration_;
+  std::unique_ptr<StageConstraints> constraints_;  // null: none
+  VecX q1_, p1_;                                   // end of a step with constraints
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company
   StepsAhead ahead_;

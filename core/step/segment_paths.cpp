@@ -81,6 +81,7 @@ bool SegmentPaths::make_step(double time, double tol, Integrator& integrator, Ve
   const double tau = step_to(time);
   if (persistent(segment) || tau == 0.0) return false;
   const StepPath* motion = path(segment, integrator);
+  integrator.set_time(start(segment));
   if (motion == nullptr || left_out_ <= tol ||
       !integrator.solve_part(*motion, tau, motion->q0(), this->p(segment), VecX(), tol))
     return false;

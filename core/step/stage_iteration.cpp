@@ -2,6 +2,14 @@
 
 namespace contactvi {
 
+void StageIteration::judge(const Stages& stages, double rounding) {
+  double scale = std::numeric_limits<double>::infinity();  // of the stage in which rounding counts most
+  for (int i = 0; i < stages.count(); ++i)
+    scale = std::min(scale, std::max(largest_energy(stages.kinetic(i), stages.impulse_energy(i)), rounding));
+  floor_ = std::sqrt(rounding / scale);
+  judge(stages);
+}
+
 void StageIteration::judge(const Stages& stages) {
   if (stages.count() == 1) {
     const double kinetic = stages.kinetic(0), impulses = stages.impulse_energy(0);

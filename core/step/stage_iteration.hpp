@@ -22,8 +22,10 @@ class StageIteration {
   void begin(bool newton);
   bool goes_on() const { return outcome_ == Outcome::kGoesOn; }
   int flags() const;  // of the next iteration (LaneFlags)
-  // After an iteration, whose numbers are in stages.
+  // After an iteration, whose numbers are in stages. constrained: of a step with constraints, whose
+  // residuals have rounding of this energy [J]; neither the Newton matrix nor acceleration is tried then.
   void judge(const Stages& stages);
+  void judge(const Stages& stages, double rounding);
   // As this, where there is one stage: its relative error, and its energy.
   void judge(double error, double energy) { judge(error, energy, true); }
   // Of a stage with these numbers (Stages): the square of its relative error, and the energy of its motion or of the
@@ -73,6 +75,7 @@ class StageIteration {
   int count_ = 0, stagnant_ = 0;  // iterations, those without progress
   double previous_ = -1.0, theta_ = -1.0, best_ = std::numeric_limits<double>::infinity();
   double error_ = 0.0, first_energy_ = 0.0;
+  double floor_ = 0.0;  // relative error that rounding of constraints makes; 0: there are none
   bool newton_ = false, factor_ = true, accelerated_ = false;
   bool forgets_ = false, accelerates_ = false;
 };
@@ -107,7 +110,7 @@ inline StageIteration::Outcome StageIteration::outcome(double error, double ener
   stagnant_ = error < kProgress * best_ ? 0 : stagnant_ + 1;
   best_ = std::min(best_, error);
   // Near the solution, iterations that gain nothing any more have met rounding; further off they lead nowhere.
-  if ((stagnant_ >= 2 && error < kStagnantSoon) || (stagnant_ >= 4 && error < kStagnantLate && !accelerated_))
+  if ((stagnant_ >= 2 && error < std::max(kStagnantSoon, floor_)) || (stagnant_ >= 4 && error < kStagnantLate && !accelerated_))
     return Outcome::kRounding;
   if (stagnant_ >= (accelerated_ ? 2 * kMostStagnant : kMostStagnant)) return Outcome::kDiverged;
   return count_ + 1 < most_ ? Outcome::kGoesOn : Outcome::kDiverged;
@@ -117,7 +120,7 @@ inline void StageIteration::judge(double error, double energy, bool few_stages) 
   outcome_ = outcome(error, energy);
   forgets_ = accelerates_ = false;
   if (!goes_on()) return;
-  const bool slow = count_ >= 2 && theta_ > kSlow, turn = slow && !newton_ && few_stages;
+  const bool slow = count_ >= 2 && theta_ > kSlow && floor_ == 0.0, turn = slow && !newton_ && few_stages;
   forgets_ = factor_ && accelerated_;  // its residuals belong to another matrix
   newton_ = newton_ || turn;
   factor_ = turn || (error > kRefactor && !accelerated_);

@@ -49,6 +49,8 @@ class Stages {
   std::pair<double, double> shares(int i) const;
   // Whether there are forces that evaluate() does not know in the step that began.
   bool has_extra_forces() const { return work_.extra != nullptr; }
+  // Impulses that the stages receive besides it, over dofs and stages, in the charts of spherical joints; at first zero.
+  double* impulse();
   // Replaces the start momentum of the step that began.
   void start_from(const VecCRef& p0);
   // Sets a configuration without a step, for functions of a single state.
@@ -71,6 +73,7 @@ class Stages {
   double* X() { return X_; }
   double* v() { return v_; }
   double* rate() { return work_.rate; }
+  const double* rate() const { return work_.rate; }
   double* P() { return P_; }
   double* G() { return G_; }
   const double* P() const { return P_; }
@@ -131,6 +134,7 @@ class Stages {
   const LaneKernel* kernel_;
   LaneWork work_;
   AlignedArray memory_;  // all arrays below
+  AlignedArray impulse_{0};
   double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_;
   double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;
   ForceField field_;

@@ -101,7 +101,7 @@ void StepEquations::count_iteration(int flags) {
 void StepEquations::finish(VecRef q1, VecRef p1) {
   if (model_.lanes.balls > 0) stages_.rates();
   const double carried = part_ ? 0.0 : 1.0;  // the digits carried are those of the next whole step
-  add_impulses(stages_, p0_, carry_p_, carried, p1.data(), next_carry_p_.data());
+  add_impulses(stages_, *momentum_, carry_p_, carried, p1.data(), next_carry_p_.data());
   const double* v = stages_.v();
   const bool single = stages_.padded() == 1;
   const double weight = stages_.hb()[0];
@@ -115,7 +115,7 @@ void StepEquations::finish(VecRef q1, VecRef p1) {
       const Vec3 X1(stages_.sum(stages_.rate(), iv), stages_.sum(stages_.rate(), iv + 1),
                     stages_.sum(stages_.rate(), iv + 2));
       const Quat start(q0_[iq + 3], q0_[iq], q0_[iq + 1], q0_[iq + 2]);
-      const Vec3 end = stages_.ball_end(joint, p0_);
+      const Vec3 end = stages_.ball_end(joint, *momentum_);
       q1.segment<4>(iq) = end_ball(start, X1).coeffs();
       p1.segment<3>(iv) = end;
       next_carry_p_.segment<3>(iv).setZero();

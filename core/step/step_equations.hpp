@@ -93,6 +93,7 @@ class StepEquations {
   StiffTerms stiff_;
   ColumnSolver columns_;
   VecX q0_, p0_;
+  const VecX* momentum_ = &p0_;  // the momentum from which the end of the step follows
   double time_ = 0.0, h_ = 0.0;
   bool part_ = false;  // a part of a step: its sums are not continued
   // Digits that the sums of the last step lost, and those that the step just solved would lose.

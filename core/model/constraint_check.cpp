@@ -1,4 +1,4 @@
-#include "contact/constraint_check.hpp"
+#include "model/constraint_check.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -8,7 +8,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kJump = 2.0;  // of the sum of a motion's rates at both ends of a step: a larger deviation is a jump,
+constexpr double kJump = 4.0;           // of the mean size of a motion's rates in a step: a larger deviation is a jump,
 constexpr double kJumpRounding = 1e-9;  // where it is also beyond this [rad; m], [rad/s; m/s]
 constexpr double kFar = 1e-4;           // of the configuration: coordinates beyond its inverse have more rounding
 constexpr double kMet = 1e-10;          // [m; rad] to which a constraint is satisfied,
@@ -34,10 +34,16 @@ int find_violated(const Elements& elements, const ConstraintErrors& e) {
 }
 
 int find_jump(const Elements& elements, const VecX& moved, const VecX& rate0, const VecX& rate1, double h) {
+  MatX rates(rate0.size(), 2);
+  rates << rate0, rate1;
+  return find_jump(elements, moved, rates, VecX::Constant(2, 0.5), h);
+}
+
+int find_jump(const Elements& elements, const VecX& moved, const MatX& rates, const VecX& weights, double h) {
   const auto jumps = [&](int first, int count) {
-    const auto before = -rate0.segment(first, count), after = -rate1.segment(first, count);
-    const double most = kJump * (before.norm() + after.norm()) + kJumpRounding * (1.0 + 1.0 / h);
-    return (moved.segment(first, count) - 0.5 * (before + after)).norm() > most;
+    const auto told = rates.middleRows(first, count);
+    const double size = told.colwise().norm().dot(weights), most = kJump * size + kJumpRounding * (1.0 + 1.0 / h);
+    return (moved.segment(first, count) + told * weights).norm() > most;
   };
   for (std::size_t i = 0; i < elements.constraints.size(); ++i) {
     const Constraint& c = elements.constraints[i];
