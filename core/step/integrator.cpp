@@ -75,6 +75,7 @@ bool Integrator::solve_stages() {
   if (iteration_.converged()) newton_ = iteration_.newton();
   if (!iteration_.finite()) newton_ = false;
   solved_ = iteration_.solved();
+  if (!solved_ && constraints_) constraints_->give_up();
   if (!solved_) why_ = iteration_.finite() ? "the stage iterations do not converge" : "a number is not finite";
   return solved_;
 }

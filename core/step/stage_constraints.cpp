@@ -228,6 +228,13 @@ void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
   for (int i = 0; i < stages_; ++i) stages.set_error(i, errors[i]);
 }
 
+void StageConstraints::give_up() {
+  const Node& end = nodes_[stages_];
+  if (end.phi.allFinite())
+    violated_ = find_violated(tree_->elements,
+                              {nodes_[0].phi, end.phi, VecX::Zero(rows_), constraint_reach(end.q), 1.0, 0.0});
+}
+
 bool StageConstraints::close(StepEquations& equations, const Stages& stages, const VecCRef& q1, VecRef p1) {
   Node& end = nodes_[stages_];
   end.q = q1;

@@ -44,6 +44,8 @@ class StageConstraints {
 
   // Energy of the corrections that rounding of the residuals makes [J].
   double rounding() const { return rounding_; }
+  // Of a step that was not solved: looks which constraint its iterations were farthest from.
+  void give_up();
   // The constraint that the last step could not satisfy, -1: none.
   int violated() const { return violated_; }
   // Of the last step, before the next one begins: its impulses along each row, their work, and how much of this is done
