@@ -360,12 +360,9 @@ void Integrator::start_anew() {
 Integrator::Memory Integrator::memory() {
   solved_ = from_ahead_ = false;  // the stages are not remembered
   const Eigen::Map<const MatX> P(stages_.P(), stages_.padded(), tree_->nv);
-  return {start_.history(),
-          carry_q_,
-          carry_p_,
-          P.topRows(stages_.count()),
-          constraints_ ? constraints_->forces() : VecX(),
-          newton_};
+  return {
+      start_.history(), carry_q_, carry_p_, P.topRows(stages_.count()), constraints_ ? constraints_->forces() : VecX(),
+      newton_};
 }
 
 void Integrator::recall(const Memory& memory) {

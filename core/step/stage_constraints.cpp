@@ -15,7 +15,7 @@ constexpr double kRedundant = 1e-10;
 // Of the coordinates, and 1 m or rad: by which residuals of constraints are off. A step divides it by its length, and
 // conditions at s nodes multiply it by up to about s^2.
 constexpr double kRounding = 1e-15;
-constexpr double kTurns = 1e-15;     // [rad] to which the charts of spherical joints belong to their velocities
+constexpr double kTurns = 1e-15;    // [rad] to which the charts of spherical joints belong to their velocities
 constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which a row is rounding
 }  // namespace
 
@@ -34,8 +34,11 @@ StageConstraints::StageConstraints(const Tree& tree, int stages)
       stages_(stages),
       nodes_(stages + 1, Node(tree)),
       lambda_(MatX::Zero(rows_, stages + 1)),
+      to_nodes_(stages, stages),
       kept_(0),
       changed_(0) {
+  for (int k = 0; k < stages; ++k)
+    for (int j = 0; j < stages; ++j) to_nodes_(j, k) = table_->to_node[k + 1][j];
   forget();
 }
 
@@ -86,8 +89,7 @@ void StageConstraints::place_nodes(Stages& stages) {
     impulse_.noalias() = nodes_[k].chart * lambda_.col(k);
     for (int d = 0; d < nv; ++d)
       for (int i = 0; i < S; ++i)
-        given[static_cast<std::size_t>(d) * S + i] +=
-            (table_->share[std::min(i, stages_ - 1)][k] - 1.0) * impulse_[d];
+        given[static_cast<std::size_t>(d) * S + i] += (table_->share[std::min(i, stages_ - 1)][k] - 1.0) * impulse_[d];
   }
   stages.start_from(p_start_);
 }
@@ -122,17 +124,12 @@ void StageConstraints::to_stages(const Stages& stages, bool transposed, double* 
   }
 }
 
-// Of chart velocities x (nv, S) at the stages: what they move the row at node k, h sum_j to_node_kj row . x_j.
-double StageConstraints::along(const Node& node, int row, int k, const double* x, int S) const {
-  double total = 0.0;
-  for (int d = 0; d < tree_->nv; ++d) {
-    const double w = node.chart(d, row);
-    if (w == 0.0) continue;
-    double sum = 0.0;
-    for (int j = 0; j < stages_; ++j) sum += table_->to_node[k][j] * x[static_cast<std::size_t>(d) * S + j];
-    total += w * sum;
-  }
-  return h_ * total;
+// Of chart velocities x (nv, S) at the stages: what they move the rows at all nodes but the first one, (s m,).
+void StageConstraints::move_rows(const double* x, int S, VecRef moved) {
+  const Eigen::Map<const MatX> rates(x, S, tree_->nv);
+  displaced_.noalias() = rates.topRows(stages_).transpose() * to_nodes_;
+  for (int k = 1; k <= stages_; ++k)
+    moved.segment((k - 1) * rows_, rows_).noalias() = h_ * (nodes_[k].chart.transpose() * displaced_.col(k - 1));
 }
 
 void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
@@ -153,8 +150,7 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
     for (int c = 0; c < rows_; ++c) {
       const int column = l * rows_ + c;
       double* given = given_[column].data();
-      for (int d = 0; d < nv; ++d)
-        std::fill_n(given + static_cast<std::size_t>(d) * S, S, nodes_[l].chart(d, c));
+      for (int d = 0; d < nv; ++d) std::fill_n(given + static_cast<std::size_t>(d) * S, S, nodes_[l].chart(d, c));
       to_stages(stages, false, given);
       std::copy_n(given, size, stages.dv());
       stages.solve();
@@ -168,9 +164,7 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
       to_stages(stages, true, changed_.data());
       for (int d = 0; d < nv; ++d)
         for (int j = 0; j < stages_; ++j) changed_.data()[static_cast<std::size_t>(d) * S + j] *= table_->share[j][l];
-      for (int k = 1; k <= stages_; ++k)
-        for (int a = 0; a < rows_; ++a)
-          matrix_((k - 1) * rows_ + a, column) = along(nodes_[k], a, k, changed_.data(), S);
+      move_rows(changed_.data(), S, matrix_.col(column));
     }
   std::copy_n(kept_.data(), size, stages.dv());
   // Rows and columns of the same constraint have the same scale: that of its own mobility.
@@ -200,9 +194,8 @@ void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
   std::copy_n(stages.dv(), size, changed_.data());
   to_stages(stages, true, changed_.data());
   residual_.resize(count);
-  for (int k = 1; k <= stages_; ++k)
-    for (int a = 0; a < rows_; ++a)
-      residual_[(k - 1) * rows_ + a] = nodes_[k].phi[a] + along(nodes_[k], a, k, changed_.data(), S);
+  move_rows(changed_.data(), S, residual_);
+  for (int k = 1; k <= stages_; ++k) residual_.segment((k - 1) * rows_, rows_) += nodes_[k].phi;
   change_ = -scale_.cwiseProduct(factor_.solve(VecX(scale_.cwiseProduct(residual_) / h_)));
   for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
   add_impulses();
@@ -231,8 +224,8 @@ void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
 void StageConstraints::give_up() {
   const Node& end = nodes_[stages_];
   if (end.phi.allFinite())
-    violated_ = find_violated(tree_->elements,
-                              {nodes_[0].phi, end.phi, VecX::Zero(rows_), constraint_reach(end.q), 1.0, 0.0});
+    violated_ =
+        find_violated(tree_->elements, {nodes_[0].phi, end.phi, VecX::Zero(rows_), constraint_reach(end.q), 1.0, 0.0});
 }
 
 bool StageConstraints::close(StepEquations& equations, const Stages& stages, const VecCRef& q1, VecRef p1) {

@@ -72,7 +72,7 @@ class StageConstraints {
   void add_impulses();
   void make_matrix(Stages& stages, StiffTerms& stiff);
   void to_stages(const Stages& stages, bool transposed, double* x) const;
-  double along(const Node& node, int row, int k, const double* x, int S) const;
+  void move_rows(const double* x, int S, VecRef moved);
 
   const Tree* tree_;
   const LobattoTable* table_;
@@ -81,6 +81,8 @@ class StageConstraints {
   double h_ = 0.0;
   std::vector<Node> nodes_;  // s + 1
   MatX lambda_;              // (m, s + 1)
+  MatX to_nodes_;            // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
+  MatX displaced_;           // (nv, s)
   // Per node k < s and row, all stages: what a unit impulse gives their momenta, and with D^-1 their velocities.
   std::vector<AlignedArray> given_, moved_;
   AlignedArray kept_, changed_;

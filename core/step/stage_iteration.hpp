@@ -110,7 +110,8 @@ inline StageIteration::Outcome StageIteration::outcome(double error, double ener
   stagnant_ = error < kProgress * best_ ? 0 : stagnant_ + 1;
   best_ = std::min(best_, error);
   // Near the solution, iterations that gain nothing any more have met rounding; further off they lead nowhere.
-  if ((stagnant_ >= 2 && error < std::max(kStagnantSoon, floor_)) || (stagnant_ >= 4 && error < kStagnantLate && !accelerated_))
+  if ((stagnant_ >= 2 && error < std::max(kStagnantSoon, floor_)) ||
+      (stagnant_ >= 4 && error < kStagnantLate && !accelerated_))
     return Outcome::kRounding;
   if (stagnant_ >= (accelerated_ ? 2 * kMostStagnant : kMostStagnant)) return Outcome::kDiverged;
   return count_ + 1 < most_ ? Outcome::kGoesOn : Outcome::kDiverged;
