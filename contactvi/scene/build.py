@@ -89,14 +89,14 @@ class Built:
     @cached_property
     def constrained(self) -> bool:
         """Whether every step solves for constraint forces: there are constraints or joint friction."""
-        return bool(self.elements.constraints) or bool(np.any(self.arrays.joint_friction))
+        return bool(self.elements.equations) or bool(np.any(self.arrays.joint_friction))
 
     @cached_property
     def needs_fixed_step(self) -> str | None:
         """What of the scene needs steps of one length, in words; None where nothing does."""
         found, arrays = self.elements, self.arrays
         reasons = {
-            "constraints": bool(found.constraints),
+            "constraints": bool(found.equations),
             "joint friction": bool(np.any(arrays.joint_friction)),
             "servos": bool(np.any(arrays.servo[:2])),
             "wrenches that vary": found.time_varying,

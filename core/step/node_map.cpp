@@ -5,9 +5,10 @@
 namespace contactvi {
 
 NodeMap::NodeMap(const Tree& tree)
-    : model_(tree), pattern_(tree), local_(tree, model_, pattern_, 1), mass_(pattern_, 1), panel_(0) {}
+    : tree_(&tree), model_(tree), pattern_(tree), local_(tree, model_, pattern_, 1), mass_(pattern_, 1), panel_(0) {}
 
 bool NodeMap::take(const VecX& q, const VecX& v) {
+  if (!tree_->followers.empty()) return false;  // the pattern is that of the tree alone
   local_.evaluate_at(q, v);
   std::copy(local_.M.low.begin(), local_.M.low.end(), mass_.low(0));
   std::copy(local_.M.up.begin(), local_.M.up.end(), mass_.up(0));

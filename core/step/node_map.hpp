@@ -17,6 +17,7 @@ class NodeMap {
   void to_velocities(const MatX& dq, MatX& dp);
 
  private:
+  const Tree* tree_;
   FlatModel model_;
   DofPattern pattern_;
   LocalTangent local_;

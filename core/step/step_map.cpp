@@ -256,6 +256,7 @@ void StepMap::store(int component) {
 }
 
 bool StepMap::take(const StepSolution& step) {
+  if (!tree_->followers.empty()) return false;  // the pattern is that of the tree alone
   stages_.take(step);
   set_weights(step.h);
   set_balls(step);

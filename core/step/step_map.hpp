@@ -23,7 +23,7 @@ class StepMap {
 
   // Whether so many columns cost less by it than by one tangent equation after the other: it takes two evaluations per
   // dof of the longest path, and an equation one per iteration, of which steps have 6 to 9.
-  bool pays_for(int columns) const { return 2 * pattern_.depth() <= 6 * columns; }
+  bool pays_for(int columns) const { return tree_->followers.empty() && 2 * pattern_.depth() <= 6 * columns; }
   // Makes the derivative of a solved step. False where elimination gives no solution that is good to rounding: of long
   // chains, for example.
   bool take(const StepSolution& step);
