@@ -157,7 +157,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             prefix: put before all names, to add the same model twice.
             limits: whether the limits of its joints stop them (lower >= upper means none); one by one: `set_joint`.
             friction: whether its joints have the friction of the file; one by one: `set_joint(friction=True)`.
-            mimic: whether joints with a mimic tag follow the other joint (linear joint equalities, which couple the two to
+            mimic: whether joints with a mimic tag follow the other joint (a linear joint equality, which makes the two
                 one coordinate); else they are independent.
             armature: inertia [kg m^2 or kg] about all joints with one degree of freedom that moves no body, or
                 {name or pattern: inertia}; a joint that moves no mass needs one.

@@ -97,8 +97,9 @@ struct ColumnCoupled {
   const LaneTree* tree;
   const double* rows;
   V* y;
-  double Z(int k, int dof) const { return rows[k * tree->nv + dof]; }
-  double inverse(int k, int j) const { return rows[tree->followers * (tree->nv + k) + j]; }
+  double U(int k, int dof) const { return rows[k * tree->nv + dof]; }
+  double scaled(int k, int dof) const { return rows[(tree->followers + k) * tree->nv + dof]; }
+  double inverse(int k, int j) const { return rows[tree->followers * (2 * tree->nv + k) + j]; }
   void store(int k, V x) const { y[k] = x; }
   V stored(int k) const { return y[k]; }
 };
@@ -111,7 +112,8 @@ void solve_columns(const LaneTree* tree, const double* storage, const LaneColumn
     const ColumnGroup<V> g = {columns, offset, work + 6 * tree->joints, work};
     for (int k = 0; k < columns->coupling_count; ++k) fold(*tree, columns->couplings[k], g);
     columns_backward(tree, storage, g);
+    for (int k = 0; k < columns->coupling_count; ++k) couple(*tree, columns->couplings[k], g, coupled);
     columns_forward(tree, storage, g);
-    for (int k = 0; k < columns->coupling_count; ++k) project(*tree, columns->couplings[k], g, coupled);
+    for (int k = 0; k < columns->coupling_count; ++k) follow(*tree, columns->couplings[k], g);
   }
 }

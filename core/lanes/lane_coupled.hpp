@@ -2,10 +2,10 @@
 // Included inside an unnamed namespace after lane_solve.hpp.
 //
 // With C the complement, a column e_follower - sum ratio e_leader for each follower, S^T C = 0 and
-//   S (S^T D S)^-1 S^T = D^-1 - Z (C^T Z)^-1 C^T D^-1,   Z = D^-1 C,
+//   S (S^T D S)^-1 S^T = D^-1 - Z K^-1 C^T D^-1,   Z = D^-1 C, K = C^T Z,
 // for every D that has an inverse, symmetric or not: so the factor of D along the tree serves the coupled joints, too.
-// Z and K^-1 = (C^T Z)^-1 are kept with it. A right side r counts as S^T r alone: it is folded first, which puts what
-// acts on a follower on its leaders, so that the reaction between them is no part of the numbers that are solved for.
+// A right side r counts as S^T r alone: it is folded first, which puts what acts on a follower on its leaders, so that
+// the reaction between them is no part of the numbers that are solved for.
 
 // a <- what S^T a is of the leaders, 0 of the followers. Array: at(dof), put(dof, x).
 template <class Array>
@@ -38,19 +38,28 @@ LANE_INLINE void follow(const LaneTree& tree, int coupling, const Array& a) {
   for (int k = c.first; k < c.first + c.count; ++k) a.put(tree.follower[k].dof, led(tree, tree.follower[k], a));
 }
 
-// x <- x - Z K^-1 C^T x for x = D^-1 r, and the followers exactly from their leaders. Factor: Z(k, dof), inverse(k, j)
-// and a workspace of a number for each follower, store(k, y) and stored(k).
+// For D = L^T B L, as the factor along the tree has it, between its backward and its forward pass:
+// x <- x - U y with y = K^-1 V^T x, where U = L^-T C, V = B^-1 U and K = C^T D^-1 C = U^T V. A column of U has numbers
+// on the path of its follower alone. Factor: U(k, dof), scaled(k, dof) of V, inverse(k, j), and a workspace of a number
+// for each follower, store(k, y) and stored(k).
 template <class Array, class Factor>
-LANE_INLINE void project(const LaneTree& tree, int coupling, const Array& x, const Factor& factor) {
+LANE_INLINE void couple(const LaneTree& tree, int coupling, const Array& x, const Factor& factor) {
   const LaneCoupling& c = tree.coupling[coupling];
   const int end = c.first + c.count;
-  for (int k = c.first; k < end; ++k) factor.store(k, x.at(tree.follower[k].dof) - led(tree, tree.follower[k], x));
+  for (int k = c.first; k < end; ++k) {
+    const LaneFollower& f = tree.follower[k];
+    const int* dof = tree.path + f.path + f.joints;
+    auto y = factor.scaled(k, dof[0]) * x.at(dof[0]);
+    for (int i = 1; i < f.dofs; ++i) y = y + factor.scaled(k, dof[i]) * x.at(dof[i]);
+    factor.store(k, y);
+  }
   for (int k = c.first; k < end; ++k) {
     auto y = factor.inverse(k, c.first) * factor.stored(c.first);
     for (int j = c.first + 1; j < end; ++j) y = y + factor.inverse(k, j) * factor.stored(j);
-    for (int d = c.dof; d < c.dof_end; ++d) x.put(d, x.at(d) - factor.Z(k, d) * y);
+    const LaneFollower& f = tree.follower[k];
+    const int* dof = tree.path + f.path + f.joints;
+    for (int i = 0; i < f.dofs; ++i) x.put(dof[i], x.at(dof[i]) - factor.U(k, dof[i]) * y);
   }
-  follow(tree, coupling, x);
 }
 
 // An array over dofs and stages, of one group of lanes.
@@ -67,14 +76,15 @@ template <class V>
 struct StageCoupled {
   const Group<V>* g;
   double* rows;
-  int first_inverse() const { return g->tree->followers * g->tree->nv; }
-  int first_stored() const { return g->tree->followers * (g->tree->nv + g->tree->followers); }
-  V Z(int k, int dof) const { return g->at(rows, k * g->tree->nv + dof); }
+  int count() const { return g->tree->followers; }
+  V U(int k, int dof) const { return g->at(rows, k * g->tree->nv + dof); }
   double* column(int k) const { return rows + k * g->tree->nv * g->row(); }
-  V inverse(int k, int j) const { return g->at(rows, first_inverse() + k * g->tree->followers + j); }
-  void put_inverse(int k, int j, V x) const { g->put(rows, first_inverse() + k * g->tree->followers + j, x); }
-  void store(int k, V x) const { g->put(rows, first_stored() + k, x); }
-  V stored(int k) const { return g->at(rows, first_stored() + k); }
+  V scaled(int k, int dof) const { return g->at(rows, (count() + k) * g->tree->nv + dof); }
+  void put_scaled(int k, int dof, V x) const { g->put(rows, (count() + k) * g->tree->nv + dof, x); }
+  V inverse(int k, int j) const { return g->at(rows, count() * (2 * g->tree->nv + k) + j); }
+  void put_inverse(int k, int j, V x) const { g->put(rows, count() * (2 * g->tree->nv + k) + j, x); }
+  void store(int k, V x) const { g->put(rows, count() * (2 * g->tree->nv + count()) + k, x); }
+  V stored(int k) const { return g->at(rows, count() * (2 * g->tree->nv + count()) + k); }
 };
 
 // Of the mass matrix; of Newton's matrix.
@@ -92,16 +102,17 @@ LANE_INLINE void follow_all(const Group<V>& g, double* array) {
   for (int c = 0; c < g.tree->couplings; ++c) follow(*g.tree, c, StageArray<V>{&g, array});
 }
 template <class V>
-LANE_INLINE void project_all(const Group<V>& g, bool newton) {
+LANE_INLINE void couple_all(const Group<V>& g) {
   for (int c = 0; c < g.tree->couplings; ++c)
-    project(*g.tree, c, StageArray<V>{&g, g.work->dv}, coupled_factor(g, newton));
+    couple(*g.tree, c, StageArray<V>{&g, g.work->dv}, coupled_factor(g, false));
 }
 
 // dv <- S (S^T D S)^-1 S^T dv, D = M + diagonal; without coupled joints D^-1 dv.
 template <class V>
 inline void solve_group(const Group<V>& g) {
   fold_all(g, g.work->dv);
-  solve_backward(g, 0, g.tree->joints);
-  solve_forward(g, 0, g.tree->joints);
-  project_all(g, false);
+  solve_backward(g);
+  couple_all(g);
+  solve_forward(g);
+  follow_all(g, g.work->dv);
 }

@@ -202,8 +202,8 @@ inline void correct(const G& g, int flags) {
     }
     if (flags & kLaneNewton) factor_newton(g);
     if (g.tree->couplings > 0) {
-      if (!(flags & kLaneNewton) || (flags & kLaneFirst)) factor_coupled(g, false);
-      if (flags & kLaneNewton) factor_coupled(g, true);
+      if (!(flags & kLaneNewton) || (flags & kLaneFirst)) factor_coupled(g);
+      if (flags & kLaneNewton) factor_coupled_newton(g);
     }
   }
   fold_all(g, w.dv);
@@ -274,7 +274,7 @@ void solve_runs(const LaneTree* tree, const LaneWork* work) {
     const RunGroup<V> g = run_group<V>(tree, work, k);
     place_all(g);
     factor_group(g);
-    if (tree->couplings > 0) factor_coupled(g, false);
+    if (tree->couplings > 0) factor_coupled(g);
     solve_group(g);
   }
 }
@@ -330,7 +330,7 @@ void factor_stages(const LaneTree* tree, const LaneWork* work) {
   for (int k = 0; k < groups<V>(work); ++k) {
     const Group<V> g = group<V>(tree, work, k);
     factor_group(g);
-    if (tree->couplings > 0) factor_coupled(g, false);
+    if (tree->couplings > 0) factor_coupled(g);
   }
 }
 

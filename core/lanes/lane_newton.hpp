@@ -262,6 +262,7 @@ inline void factor_newton(const Group<V>& g) {
   }
 }
 
+// first, end: the joints that are solved for, which are whole trees.
 template <class V>
 inline void solve_newton_backward(const Group<V>& g, int first, int end) {
   const V zero = Lane<V>::all(0.0);

@@ -26,12 +26,11 @@ LANE_INLINE Force<V> force_to_parent(const LaneJoint& j, const S* at, Force<V> a
   return a;
 }
 
-// first, end: the joints that are solved for, which are whole trees.
 template <class V>
-inline void solve_backward(const Group<V>& g, int first, int end) {
+inline void solve_backward(const Group<V>& g) {
   const V zero = Lane<V>::all(0.0);
   double* dv = g.work->dv;
-  for (int i = end - 1; i >= first; --i) {
+  for (int i = g.tree->joints - 1; i >= 0; --i) {
     const LaneJoint& j = g.tree->joint[i];
     const V* at = g.storage + j.at;
     const V* W = at + j.velocity + 9;
@@ -79,10 +78,10 @@ LANE_INLINE void velocity_into_body(const LaneJoint& j, const S* at, V3<V>& w, V
 }
 
 template <class V>
-inline void solve_forward(const Group<V>& g, int first, int end) {
+inline void solve_forward(const Group<V>& g) {
   const V zero = Lane<V>::all(0.0);
   double* dv = g.work->dv;
-  for (int i = first; i < end; ++i) {
+  for (int i = 0; i < g.tree->joints; ++i) {
     const LaneJoint& j = g.tree->joint[i];
     V* at = g.storage + j.at;
     const V* W = at + j.velocity + 9;

@@ -61,6 +61,8 @@ struct LaneTerm {
 struct LaneFollower {
   int dof, joint;
   int first, count;  // of its terms, the leaders
+  // Of LaneTree::path: the joints that carry it or its leaders, and these, ascending; then so many dofs of theirs.
+  int path, joints, dofs;
 };
 struct LaneLeader {
   int dof, joint;
@@ -81,10 +83,11 @@ struct LaneTree {
   const LaneLeader* leader;
   const LaneCoupling* coupling;
   const LaneTerm* term;
+  const int* path;
 };
 
-// Numbers per stage that a factor of coupled joints takes: Z, K^-1 and a workspace (lane_coupled.hpp).
-constexpr int coupled_rows(const LaneTree& tree) { return tree.followers * (tree.nv + tree.followers + 1); }
+// Numbers per stage that a factor of coupled joints takes (lane_coupled.hpp).
+constexpr int coupled_rows(const LaneTree& tree) { return tree.followers * (2 * tree.nv + tree.followers + 1); }
 
 struct LaneWork {
   int s, S;

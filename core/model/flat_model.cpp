@@ -192,13 +192,27 @@ FlatModel::FlatModel(const Tree& tree) : joints(tree.joints.size()), lanes{} {
            followers.data(),
            leaders.data(),
            couplings.data(),
-           terms.data()};
+           terms.data(),
+           path.data()};
 }
 
 void FlatModel::take_couplings(const Tree& tree) {
   std::vector<std::vector<LaneTerm>> led(tree.joints.size());
   for (const Follower& f : tree.followers) {
-    followers.push_back({f.iv, f.joint, static_cast<int>(terms.size()), static_cast<int>(f.leaders.size())});
+    std::vector<char> on_path(tree.joints.size(), 0);
+    const auto walk = [&](int joint) {
+      for (; joint >= 0 && on_path[joint] == 0; joint = tree.joints[joint].parent) on_path[joint] = 1;
+    };
+    walk(f.joint);
+    for (const Follower::Leader& leader : f.leaders) walk(leader.joint);
+    const int start = static_cast<int>(path.size());
+    for (std::size_t j = 0; j < on_path.size(); ++j)
+      if (on_path[j] != 0) path.push_back(static_cast<int>(j));
+    const int end = static_cast<int>(path.size());
+    for (int k = start; k < end; ++k)
+      for (int d = 0; d < tree.joints[path[k]].nv; ++d) path.push_back(tree.joints[path[k]].iv + d);
+    followers.push_back({f.iv, f.joint, static_cast<int>(terms.size()), static_cast<int>(f.leaders.size()), start,
+                         end - start, static_cast<int>(path.size()) - end});
     joints[f.joint].coupled = true;
     for (const Follower::Leader& leader : f.leaders) {
       joints[leader.joint].coupled = true;

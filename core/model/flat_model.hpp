@@ -20,7 +20,8 @@ struct FlatModel {
   std::vector<LaneLeader> leaders;
   std::vector<LaneCoupling> couplings;
   std::vector<LaneTerm> terms;
-  LaneTree lanes;  // points at all of these
+  std::vector<int> path;  // the joints and dofs of each follower
+  LaneTree lanes;         // points at all of these
 
  private:
   void take_couplings(const Tree& tree);

@@ -11,6 +11,7 @@ StageLanes::StageLanes(const FlatModel& model)
       leaders_(model.leaders),
       couplings_(model.couplings),
       terms_(model.terms),
+      path_(model.path),
       tree_(model.lanes),
       kernel_(&run_kernel()),
       work_{},
@@ -21,6 +22,7 @@ StageLanes::StageLanes(const FlatModel& model)
   tree_.leader = leaders_.data();
   tree_.coupling = couplings_.data();
   tree_.term = terms_.data();
+  tree_.path = path_.data();
   const std::size_t S = kernel_->lanes, n = tree_.nv * S, balls = tree_.balls > 0 ? n : 0;
   const std::pair<double**, std::size_t> arrays[] = {{&X_, n},
                                                      {&v_, n},

@@ -50,6 +50,7 @@ class StageLanes {
   std::vector<LaneLeader> leaders_;
   std::vector<LaneCoupling> couplings_;
   std::vector<LaneTerm> terms_;
+  std::vector<int> path_;
   LaneTree tree_;
   const RunKernel* kernel_;
   LaneWork work_;
