@@ -392,3 +392,41 @@ def test_beside_other_constraints(mode, tmp_path):
         found, wanted = traj.reactions(row.name), rows.reactions(row.name)
         size = max(np.abs(wanted).max(), 1e-3)
         assert np.abs(found - wanted).max() < 1e-3 * size  # impulses of an impact that is 1e-7 s off
+
+
+def test_starts_and_accelerations_without_an_inverse_of_M(tmp_path):
+    """Starts, momenta and accelerations where M itself has no inverse."""
+    text = hand(2, mount="arm", massless=("f0l2",))
+    scene = scene_of(text, tmp_path)
+    oracle = Coupled(scene.model, mimics(text))
+    y, u, q0, v0 = start_of(oracle)
+    v = scene.consistent_velocity(v=np.ones(scene.model.nv), q=q0)
+    np.testing.assert_allclose(v, oracle.S @ v[oracle.free], rtol=0, atol=1e-14)
+    # The nearest one in the metric of the mass: S^T M (1 - v) = 0.
+    M = np.triu(pin.crba(scene.model, scene.model.createData(), q0))
+    off = oracle.S.T @ (M + np.triu(M, 1).T) @ (1.0 - v)
+    assert np.abs(off).max() < 1e-13
+    found = cvi.forward_dynamics_derivatives(scene, q0, v0)
+    wanted = oracle.S @ oracle.acceleration(y, u)
+    assert np.abs(found.a - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
+def test_simultaneous_impacts_of_two_tips(tmp_path):
+    """Every order of two elastic impacts keeps the energy of the leaders, and p = M v of all joints."""
+    text = with_ball(with_ball(hand(2, mount="arm"), "f0l2", 0.008, 0.028), "f1l2", 0.008, 0.028)
+    scene = scene_of(text, tmp_path)
+    scene.add_halfspace(offset=-0.1)
+    scene.set_contact(restitution=1.0)
+    oracle = Coupled(scene.model, mimics(text))
+    _, _, q0, _ = start_of(oracle)
+    u = np.array([1.0, 0.3, 0.5, 0.4])
+    found = cvi.simultaneous_outcomes(scene, q0, oracle.S @ u, tolerance=1.0)
+    energy = 0.5 * u @ oracle.mass(q0) @ u
+    M = np.triu(pin.crba(scene.model, scene.model.createData(), q0))
+    M = M + np.triu(M, 1).T
+    assert found.energy == pytest.approx(energy, rel=1e-12)
+    for outcome in found.outcomes:
+        v = outcome.v_plus
+        np.testing.assert_allclose(v, oracle.S @ v[oracle.free], rtol=0, atol=1e-13)
+        np.testing.assert_allclose(outcome.p_plus, M @ v, rtol=0, atol=1e-14)
+        assert outcome.energy == pytest.approx(energy, rel=1e-12)
