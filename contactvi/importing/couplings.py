@@ -77,7 +77,9 @@ def find_followers(
     for equality in elements:
         if not isinstance(equality, EqualityConstraint) or not _is_linear(equality):
             continue
-        ends = (str(name).removeprefix(prefix) for name in (equality.joint, equality.other))
+        ends = [str(name).removeprefix(prefix) for name in (equality.joint, equality.other)]
+        if not all(model.existJointName(name) for name in ends):
+            continue
         joint, other = (int(model.getJointId(name)) for name in ends)
         if root(joint) == root(other):
             continue

@@ -430,3 +430,19 @@ def test_simultaneous_impacts_of_two_tips(tmp_path):
         np.testing.assert_allclose(v, oracle.S @ v[oracle.free], rtol=0, atol=1e-13)
         np.testing.assert_allclose(outcome.p_plus, M @ v, rtol=0, atol=1e-14)
         assert outcome.energy == pytest.approx(energy, rel=1e-12)
+
+
+def test_equalities_of_an_mjcf(tmp_path):
+    pytest.importorskip("mujoco")
+    (tmp_path / "two.xml").write_text("""
+    <mujoco><compiler angle="radian"/><worldbody>
+      <body><joint name="a" axis="0 1 0"/><geom type="capsule" size="0.01 0.05" pos="0.05 0 0" mass="0.1"/>
+        <body pos="0.1 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" size="0.01 0.04" mass="0.05"/></body>
+      </body>
+      </worldbody><equality><joint name="gear" joint1="b" joint2="a" polycoef="0.1 -0.6 0 0 0"/></equality></mujoco>""")
+    scene = cvi.Scene()
+    scene.add_mjcf(tmp_path / "two.xml", prefix="m_")
+    assert [(row.name, row.coupled) for row in scene.built().elements.constraints] == [("m_gear", True)]
+    traj = cvi.simulate(scene, duration=0.3)
+    assert traj.options.auto
+    assert np.abs(traj.q[:, 1] - (0.1 - 0.6 * traj.q[:, 0])).max() < 1e-15
