@@ -328,9 +328,14 @@ class Scene:
     def add_user_potential(self, value: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], float], gradient: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], hessian: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]] | None = None) -> None:
         """value(q) [J], gradient(q) -> (nv,)."""
 
-    def add_constraint(self, kind: ConstraintKind, joint_a: int, R_a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_a: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], joint_b: int, R_b: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_b: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], signal: Callable[[float], tuple[float, float, float]] | None = None, name: str = '') -> None:
+    def add_constraint(self, kind: ConstraintKind, joint_a: int, R_a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_a: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], joint_b: int, R_b: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_b: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], signal: Callable[[float], tuple[float, float, float]] | None = None, name: str = '', coupled: bool = False) -> None:
         """
-        Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp.
+        Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp. A coupled one is for couple_joints.
+        """
+
+    def couple_joints(self, couplings: Sequence[tuple[int, float, Sequence[tuple[int, float]]]], lent_armature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """
+        Let joints follow others: (joint, offset, [(leader, ratio), ...]) each; see core/model/coupling.hpp. The lent armature (nv,), or empty, is no inertia of the coupled motion.
         """
 
     def add_prescribed_pose(self, joint: int, R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], p: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], pose: Callable[[float], tuple[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]], name: str) -> None:
@@ -346,6 +351,12 @@ class Scene:
     def set_actuator_limits(self, effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], velocity: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """
         Largest effort [N; N m] and speed [m/s; rad/s] of the actuators, (nv,) each; inf is no limit.
+        """
+
+    @property
+    def followers(self) -> list[int]:
+        """
+        The joints that follow others, in the order of their columns in the reactions of a run.
         """
 
     @property

@@ -59,7 +59,7 @@ class PerturbedRuns:
             traj.options, record="states", dense=True, sample_dt=None, tol=min(SOLVED, traj.options.stage_tol)
         )
         self._q, self._v, self._t = np.array(traj.q[0]), np.array(traj.v[0]), float(traj.t[0])
-        bound = bool(self._compiled.constraint_rows)
+        bound = bool(self._compiled.built.elements.constraints)
         self.starts = ConstrainedStarts(self._compiled, self._q, self._v, self._t) if bound else None
         assert traj.inputs is not None
         self._control, self._target = traj.inputs.control, traj.inputs.target

@@ -18,6 +18,7 @@ from contactvi import inputs
 from contactvi.derivatives.inertia import MassDerivatives
 from contactvi.derivatives.linear import STATES, step_derivatives
 from contactvi.errors import NotDifferentiable, SimulationError
+from contactvi.importing.couplings import coupled_basis
 from contactvi.scene.scene import Scene
 from contactvi.simulation.messages import remedy
 from contactvi.simulation.simulator import Simulator
@@ -189,5 +190,12 @@ class Step:
         nv = self._steps.nv
         found = np.eye(2 * nv)
         M = self._steps.mass.mass(self.q)
-        found[nv:] = np.linalg.solve(M, np.hstack([-self._steps.mass.first(self.q, self.v), np.eye(nv)]))
+        changes = np.hstack([-self._steps.mass.first(self.q, self.v), np.eye(nv)])
+        built = self._steps.compiled.built
+        followers = built.elements.couplings.followers
+        if followers:  # v = S u of coupled joints
+            S = coupled_basis(built.model, followers)
+            found[nv:] = S @ np.linalg.solve(S.T @ M @ S, S.T @ changes)
+        else:
+            found[nv:] = np.linalg.solve(M, changes)
         return found

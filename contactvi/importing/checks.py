@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
 
+from contactvi.elements.element import Element
 from contactvi.errors import SceneError, UnsupportedJointError
+from contactvi.importing.couplings import Coupled, coupled_basis, find_followers, on_couplings
 from contactvi.importing.engine_model import EngineModel, engine_model
 from contactvi.importing.joint_kinds import NO_LIMIT, ONE_DOF, has_limits, joint_kind, motion_axis
 from contactvi.importing.report import BodyRow, JointRow, PartReport, number
@@ -208,8 +210,13 @@ def dof_joint(model: pin.Model, dof: int) -> str:
     return "universe"
 
 
-def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str = "") -> np.ndarray:
+def check_mass(
+    model: pin.Model, q: np.ndarray, report: PartReport, prefix: str = "", elements: Sequence[Element] = ()
+) -> np.ndarray:
     """Return the diagonal of the mass matrix near q, shape (nv,); note where it is nearly singular at q itself.
+
+    Where joints are coupled by the elements it is the mass matrix of those that lead, and of a follower the diagonal
+    has the inertia of its leader, as it counts there.
 
     Raises:
         SceneError: some motion has no inertia (a joint that moves nothing), at a generic pose near q.
@@ -219,7 +226,9 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
     # The pose is generic: at a special one even a good model may be singular, and a bad one regular.
     generic = pin.integrate(model, q, 0.3 * np.sin(1.0 + np.arange(model.nv)))
     own = engine_model(model)
-    diagonal, least, worst = _least_inertia(own, generic, SINGULAR)
+    followers, _ = find_followers(model, elements, prefix)
+    generic, q = (on_couplings(model, at, followers) for at in (generic, q))
+    diagonal, least, worst = _least_inertia(own, generic, SINGULAR, model, followers)
     if least < SINGULAR:
         name = dof_joint(model, worst)
         raise SceneError(
@@ -230,7 +239,7 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
             remedy="Give the links behind it an <inertial>, make the joint fixed, or give it an armature: "
             f"add_urdf(..., armature={{{name!r}: 1e-4}})",
         )
-    _, here, worst = _least_inertia(own, q, NEARLY_SINGULAR)
+    _, here, worst = _least_inertia(own, q, NEARLY_SINGULAR, model, followers)
     if here < NEARLY_SINGULAR:
         name = dof_joint(model, worst)
         text = (
@@ -251,12 +260,26 @@ def _no_inertia(own: float, least: float) -> str:
     )
 
 
-def _least_inertia(model: EngineModel, q: np.ndarray, enough: float) -> tuple[np.ndarray, float, int]:
+def _least_inertia(
+    own: EngineModel, q: np.ndarray, enough: float, model: pin.Model, followers: Sequence[Coupled]
+) -> tuple[np.ndarray, float, int]:
     """Return the diagonal of M(q), the least eigenvalue of M scaled to a unit diagonal, and the dof that moves most.
 
-    Where the eigenvalue is above `enough`, a lower bound above it may stand for it, and any dof.
+    Where the eigenvalue is above `enough`, a lower bound above it may stand for it, and any dof. Of coupled joints
+    S^T M S takes the place of M.
     """
-    mass = np.asarray(model.mass_matrix(q))
+    mass = np.asarray(own.mass_matrix(q))
+    if not followers:
+        return _least_of(mass, enough)
+    S = coupled_basis(model, followers)
+    diagonal, least, worst = _least_of(S.T @ mass @ S, enough)
+    led = {int(model.idx_vs[f.joint]) for f in followers}
+    left = [dof for dof in range(model.nv) if dof not in led]
+    with np.errstate(divide="ignore"):
+        return 1.0 / (S**2 @ (1.0 / diagonal)), least, left[worst]
+
+
+def _least_of(mass: np.ndarray, enough: float) -> tuple[np.ndarray, float, int]:
     diagonal = np.diag(mass).copy()
     worst = int(np.argmin(diagonal))
     if diagonal[worst] < np.finfo(float).tiny:  # below it doubles have lost digits, and M^-1 overflows
@@ -276,13 +299,18 @@ def _least_inertia(model: EngineModel, q: np.ndarray, enough: float) -> tuple[np
 
 
 def describe_model(
-    model: pin.Model, report: PartReport, q: np.ndarray, prefix: str = "", mimics: Mapping[str, object] | None = None
+    model: pin.Model,
+    report: PartReport,
+    q: np.ndarray,
+    prefix: str = "",
+    mimics: Mapping[str, object] | None = None,
+    elements: Sequence[Element] = (),
 ) -> None:
     """Fill the body and joint tables of the report and note suspicious data; q is the neutral pose, shape (nq,)."""
     names = list(model.names)
     for body, joint, mass in body_masses(model):
         report.bodies.append(BodyRow(prefix + body, prefix + names[joint] if joint else names[0], mass))
-    diagonal = check_mass(model, q, report, prefix)
+    diagonal = check_mass(model, q, report, prefix, elements)
     for i in range(1, model.njoints):
         _describe_joint(model, i, report, prefix, str((mimics or {}).get(names[i], "")), diagonal)
         _describe_inertia(model, i, report, prefix)

@@ -1,4 +1,4 @@
-"""The constraints that the mimic tags of a URDF bring, noted in its report."""
+"""The joint equalities that the mimic tags of a URDF bring, noted in its report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def mimic_constraints(part: Part, mimics: Mapping[str, Mimic], use: bool) -> lis
         if use and not free:
             coefficients = (mimic.offset, mimic.multiplier)
             found.append(EqualityConstraint(f"mimic_{joint}", joint, other, coefficients))
-            part.report.note("used", "joint", joint, f"mimic tag: a constraint, {mimic}")
+            part.report.note("used", "joint", joint, f"mimic tag: a coupled joint, {mimic}")
             continue
         reason = f" ({free})" if free else ""
         part.report.note("ignored", "joint", joint, f"mimic tag: treated as an independent joint{reason}")

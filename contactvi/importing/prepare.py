@@ -41,7 +41,7 @@ def finish(part: Part, source: str, hulls: MeshHulls) -> None:
     check_size(model, source)
     check_joints(model, report, source)
     check_numbers(model, source)
-    describe_model(model, report, part.start, part.prefix, part.mimics)
+    describe_model(model, report, part.start, part.prefix, part.mimics, part.data.elements)
     for geometry in part.collision.geometryObjects:
         frame = geometry.parentFrame
         body = part.prefix + model.frames[frame].name if frame else "universe"

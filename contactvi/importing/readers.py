@@ -93,9 +93,9 @@ def import_urdf(
             disabled=[*urdf.filtered, *found.pairs],
             mimics=urdf.mimics,
         )
+        part.data.elements += mimic_constraints(part, urdf.mimics, mimic)
         finish(part, file.name, hulls)
         part.data.contact.update({(name,): (value, None) for name, value in urdf.friction.items()})
-        part.data.elements += mimic_constraints(part, urdf.mimics, mimic)
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     add_group_states(part, found.states)

@@ -57,10 +57,22 @@ class ConstraintRows(NamedTuple):
 
 
 class Forces:
-    """Work (N, 4) and mean reactions (N, m) of a run at its nodes t (N,) [s]; `constraints` name the columns."""
+    """Work (N, 4) and mean reactions (N, m) of a run at its nodes t (N,) [s]; `constraints` name the columns.
 
-    def __init__(self, t: Array, work: Array, reactions: Array, constraints: Sequence[ConstraintRows]) -> None:
+    on_followers: the mean force of all that acts on coupled joints that follow others, without the reaction of the
+    coupling, (N, followers); None without such joints (contactvi.trajectory.coupled_reactions).
+    """
+
+    def __init__(
+        self,
+        t: Array,
+        work: Array,
+        reactions: Array,
+        constraints: Sequence[ConstraintRows],
+        on_followers: Array | None = None,
+    ) -> None:
         self.t = t
+        self.on_followers = on_followers
         self.values, self.reactions = work, reactions
         self.constraints = [ConstraintRows(*row) for row in constraints]
 
@@ -87,17 +99,20 @@ class Forces:
     def since(self, t: float) -> Forces:
         """Return the nodes from t [s] on."""
         first = int(np.searchsorted(self.t, t))
-        return Forces(self.t[first:], self.values[first:], self.reactions[first:], self.constraints)
+        on_followers = None if self.on_followers is None else self.on_followers[first:]
+        return Forces(self.t[first:], self.values[first:], self.reactions[first:], self.constraints, on_followers)
 
     def sampled(self, t: Array) -> Forces:
         """Return work and reactions at other nodes t (n,) [s].
 
         Work between two nodes is shared in proportion to time, to O(dt^2), and reactions are means.
         """
-        if not self.values.any() and not self.reactions.size:
+        count = self.reactions.shape[1]
+        if not self.values.any() and not self.reactions.size and self.on_followers is None:
             return Forces(t, np.zeros((len(t), self.values.shape[1])), np.zeros((len(t), 0)), self.constraints)
         spans = np.diff(self.t, prepend=self.t[:1])[:, None]
-        impulse = np.cumsum(self.reactions * spans, axis=0)
+        means = self.reactions if self.on_followers is None else np.hstack([self.reactions, self.on_followers])
+        impulse = np.cumsum(means * spans, axis=0)
         work, impulse = (
             np.column_stack([np.interp(t, self.t, column) for column in values.T]) if values.size else
             np.zeros((len(t), values.shape[1]))
@@ -105,7 +120,8 @@ class Forces:
         )  # fmt: skip
         means = np.zeros(impulse.shape)
         np.divide(np.diff(impulse, axis=0), np.diff(t)[:, None], out=means[1:])
-        return Forces(t, work, means, self.constraints)
+        on_followers = None if self.on_followers is None else means[:, count:]
+        return Forces(t, work, means[:, :count], self.constraints, on_followers)
 
 
 # Of the start of a run, which nothing writes to.
@@ -115,9 +131,10 @@ _NO_WORK, _NO_REACTIONS = np.zeros((1, len(WORKS))), np.zeros((1, 0))
 class GrowingForces:
     """Work and reactions of a run as it grows: what the engine reports node by node, at the nodes that are kept."""
 
-    def __init__(self, t: float, constraints: Sequence[ConstraintRows]) -> None:
-        self.constraints = list(constraints)
-        self._rows = sum([row.rows for row in constraints])
+    def __init__(self, t: float, constraints: Sequence[ConstraintRows], followers: int = 0) -> None:
+        """Start at t [s]; followers: how many joints follow others, whose columns come after the constraints'."""
+        self.constraints, self._followers = list(constraints), followers
+        self._rows = sum([row.rows for row in constraints]) + followers
         self._t: list[Array] = [np.array([t])]
         self._work: list[Array] = [_NO_WORK]
         self._reactions: list[Array] = [np.zeros((1, self._rows)) if self._rows else _NO_REACTIONS]
@@ -181,9 +198,13 @@ class GrowingForces:
     def joined(self, first: int = 0) -> Forces:
         """Return work and reactions of the blocks from `first` on."""
         if len(self._t) == 1 and first == 0:
-            return Forces(self._t[0], self._work[0], self._reactions[0], self.constraints)
-        t, work, reactions = (
-            parts[0] if len(parts) == 1 else np.concatenate(parts)
-            for parts in (self._t[first:], self._work[first:], self._reactions[first:])
-        )
-        return Forces(t, work, reactions, self.constraints)
+            t, work, reactions = self._t[0], self._work[0], self._reactions[0]
+        else:
+            t, work, reactions = (
+                parts[0] if len(parts) == 1 else np.concatenate(parts)
+                for parts in (self._t[first:], self._work[first:], self._reactions[first:])
+            )
+        if self._followers == 0:
+            return Forces(t, work, reactions, self.constraints)
+        own = self._rows - self._followers
+        return Forces(t, work, reactions[:, :own], self.constraints, reactions[:, own:])

@@ -89,7 +89,7 @@ class Built:
     @cached_property
     def constrained(self) -> bool:
         """Whether every step solves for constraint forces: there are constraints or joint friction."""
-        return bool(self.elements.constraints) or bool(np.any(self.arrays.joint_friction))
+        return bool(self.elements.equations) or bool(np.any(self.arrays.joint_friction))
 
     @cached_property
     def needs_fixed_step(self) -> str | None:

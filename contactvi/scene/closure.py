@@ -103,6 +103,11 @@ def consistent_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Arr
     nv = len(v)
     mass = np.asarray(core.momentum(np.repeat(q[None], nv, axis=0), np.eye(nv)))
     J, rate = np.asarray(core.constraint_jacobian(q, t)), np.asarray(core.constraint_rate(q, t))
+    # Links without a mass of their own may be coupled. What is added does not change where the velocity ends: how far
+    # it goes across the couplings is given.
+    at = np.cumsum([0, *(row.rows for row in rows)])
+    coupled = J[[at[k] for k, row in enumerate(rows) if row.coupled]]
+    mass = mass + np.trace(mass) / max(nv, 1) * (coupled.T @ coupled)
     try:
         lower = np.linalg.cholesky(0.5 * (mass + mass.T))
         scaled = np.linalg.solve(lower, J.T).T

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -30,6 +30,7 @@ from contactvi.elements.pose_signals import PoseSignal
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
+from contactvi.importing.couplings import Couplings, find_couplings
 from contactvi.importing.kinematics import joint_placements
 from contactvi.inputs import real
 
@@ -50,6 +51,7 @@ class ConstraintRow:
     numbers: np.ndarray
     signal: Signal | Callable[[float], Any] | None = None
     pose: PoseSignal | None = None  # of a weld to the world: the frame of the world moves
+    coupled: bool = False  # a linear equality that is a coordinate of the engine (contactvi.importing.couplings)
 
     @property
     def driven(self) -> bool:
@@ -83,6 +85,7 @@ class Resolved:
 
     Attributes:
         dofs: Names of the degrees of freedom, (nv,).
+        couplings: Joints that follow others, which some of the constraints are.
         time_varying: Whether some wrench or constraint depends on time.
     """
 
@@ -92,7 +95,13 @@ class Resolved:
     wrenches: list[WrenchRow] = field(default_factory=list)
     potentials: list[UserPotential] = field(default_factory=list)
     forces: list[UserForce] = field(default_factory=list)
+    couplings: Couplings = field(default_factory=Couplings)
     time_varying: bool = False
+
+    @property
+    def equations(self) -> list[ConstraintRow]:
+        """The constraints that steps solve for: those that are no couplings of joints."""
+        return [row for row in self.constraints if not row.coupled]
 
     @property
     def any(self) -> bool:
@@ -110,9 +119,12 @@ def resolve(elements: Sequence[Element], model: pin.Model, start: np.ndarray) ->
     if not elements:
         return result
     placed = _Placed(model, start)
+    result.couplings = find_couplings(model, start, elements)
     for element in elements:
         if isinstance(element, Constraint):
             rows = _constraint(element, placed)
+            if element.name in result.couplings.names:
+                rows = replace(rows, coupled=True)
             result.constraints.append(rows)
             result.time_varying |= rows.driven
         elif isinstance(element, PathSpring):

@@ -109,7 +109,10 @@ def _add_elements(scene: EngineScene, elements: Resolved) -> None:
             scene.add_prescribed_pose(*row.b, row.pose, row.name)
             continue
         kind = _core.ConstraintKind[row.engine_kind.upper()]
-        scene.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name)
+        scene.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name, row.coupled)
+    if elements.couplings.followers:
+        rows = [(f.joint, f.offset, [(f.leader, f.ratio)]) for f in elements.couplings.followers]
+        scene.couple_joints(rows, elements.couplings.lent)
 
 
 def _set_actuation(scene: EngineScene, arrays: JointArrays) -> None:

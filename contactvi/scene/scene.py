@@ -145,7 +145,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self_collision: bool = True,
         contact_friction: bool = False,
     ) -> PartHandle:
-        """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
+        """Add a URDF model. Meshes become convex hulls, mimic tags couple joints (see `report`).
 
         Args:
             path: file, or `package://...`, `example-robot-data://robots/...`.
@@ -157,8 +157,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             prefix: put before all names, to add the same model twice.
             limits: whether the limits of its joints stop them (lower >= upper means none); one by one: `set_joint`.
             friction: whether its joints have the friction of the file; one by one: `set_joint(friction=True)`.
-            mimic: whether joints with a mimic tag follow the other joint (joint equality constraints, which need steps
-                of one length); else they are independent.
+            mimic: whether joints with a mimic tag follow the other joint (a linear joint equality, which makes the two
+                one coordinate); else they are independent.
             armature: inertia [kg m^2 or kg] about all joints with one degree of freedom that moves no body, or
                 {name or pattern: inertia}; a joint that moves no mass needs one.
             self_collision: whether its links may touch each other; single pairs: `enable_pair`, `disable_pair`.

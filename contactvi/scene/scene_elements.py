@@ -105,7 +105,8 @@ class SceneElements:
         """Make a joint follow another one: q_joint = c0 + c1 q_other + c2 q_other^2 + ...; return the name.
 
         Of revolute, prismatic or helical joints [rad or m]; other None: q_joint = c0. `neutral()` puts the joint where
-        it has to be.
+        it has to be. Of degree one the two joints are one coordinate of the engine, and no step solves for their
+        reaction.
         """
         first = self._joint_with_one_number(joint, "equality")
         second = None if other is None else self._joint_with_one_number(other, "equality")

@@ -61,7 +61,7 @@ class Record:
         self.reached = t
         self.stats = _NOTHING_DONE
         self.forced = compiled.forced
-        self.forces = GrowingForces(t, compiled.constraint_rows)
+        self.forces = GrowingForces(t, compiled.constraint_rows, compiled.followers)
         self.inputs = GrowingInputs() if options.record == "gradient" else None
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
         self.separation: Separation | None = None  # what was moved for the start
@@ -125,7 +125,7 @@ class Record:
         self.t, self.q, self.p = [result["t"][:1]], [result["q"][:1]], [result["p"][:1]]
         for name in _BLOCKS:
             setattr(self, name, [])
-        self.forces = GrowingForces(float(self.t[0][0]), self.compiled.constraint_rows)
+        self.forces = GrowingForces(float(self.t[0][0]), self.compiled.constraint_rows, self.compiled.followers)
 
     def keep_last(self, steps: int) -> None:
         """Forget what was recorded before the last steps."""

@@ -91,7 +91,9 @@ class Run:
         options = self.options
         looked_at = bool(options.ledger) or options.impact == "dtec" or options.record == "gradient"
         refuses = options.impact == "mhc" and options.mhc_reference == "global"
-        return not (looked_at or refuses or (options.record_every > 1 and self._compiled.constraint_rows))
+        compiled = self._compiled
+        means = options.record_every > 1 and bool(compiled.constraint_rows or compiled.followers)
+        return not (looked_at or refuses or means)
 
     @property
     def compiled(self) -> CompiledScene:

@@ -28,6 +28,7 @@ from contactvi.simulation.settings import settings_of
 from contactvi.simulation.snapshot import Snapshot
 from contactvi.status import Status
 from contactvi.trajectory.compiled import CompiledScene, checked_scene, compile_scene
+from contactvi.trajectory.coupled_reactions import with_coupled
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -226,7 +227,12 @@ class Simulator(PresentDynamics):
 
     def reaction(self, name: str) -> Array:
         """Return the force of a constraint, the mean over the last step, shape (rows,); see Trajectory.reactions."""
-        return np.array(self._started().record.forces.joined(-1).of(name)[-1])
+        record, built = self._started().record, self._scene.built
+        if name not in built.elements.couplings.names:
+            return np.array(record.forces.joined(-1).of(name)[-1])
+        _, _, p = record.nodes()
+        forces = record.forces.joined().since(float(record.forces.joined().t[-2:][0]))
+        return np.array(with_coupled(forces, p[-len(forces.t) :], built).of(name)[-1])
 
     def save(self) -> Snapshot:
         """Return all of the present state, with what was recorded, for `load`."""

@@ -53,16 +53,20 @@ class Impacts:
     scaled back by a power of two, which is exact, so that the engine's absolute threshold for speeds plays no part.
     """
 
-    def __init__(self, engine: ImpactsAt, mobile: Sequence[NDArray[np.bool_]], lower: Array, p: Array) -> None:
-        """Take the engine's contacts, a Cholesky factor L of the mass matrix, and the momentum.
+    def __init__(
+        self, engine: ImpactsAt, mobile: Sequence[NDArray[np.bool_]], mass: Array, basis: Array | None, p: Array
+    ) -> None:
+        """Take the engine's contacts, the mass matrix M, and the momentum.
 
-        `mobile` says of each point of each contact whether its gap can change: only those have rows. `lower` (nv, nv)
-        and `p` (nv,) are in engine coordinates.
+        `mobile` says of each point of each contact whether its gap can change: only those have rows. `mass` (nv, nv)
+        and `p` (nv,) are in engine coordinates; `basis`: S of coupled joints, v = S u, (nv, n), None without them.
         """
-        self._engine, self._lower = engine, lower
+        self._engine, self._basis = engine, basis
+        own = mass if basis is None else basis.T @ mass @ basis
+        self._lower: Array = np.linalg.cholesky(0.5 * (own + own.T)).astype(float, copy=False)
         self.rows = [self.metric(engine.directions(k)[moves].T).T for k, moves in enumerate(mobile)]
         self._lengths = [np.linalg.norm(a, axis=1) for a in self.rows]
-        size = float(np.linalg.norm(np.linalg.solve(lower, p)))
+        size = float(np.linalg.norm(self.metric(p)))
         self._unit = 2.0 ** -round(np.log2(size)) if size > 0.0 else 1.0
         self._p = self._unit * p
         x = self.metric(self._p)
@@ -73,8 +77,11 @@ class Impacts:
         self._size = float(np.linalg.norm(x))
 
     def metric(self, p: Array) -> Array:
-        """Return x = L^-1 p, shape (nv,), or of several columns."""
-        return np.asarray(np.linalg.solve(self._lower, p), dtype=float)
+        """Return x = L^-1 p of the Cholesky factor L of M, shape (nv,), or of several columns.
+
+        Of coupled joints x = L^-1 S^T p with that of S^T M S, shape (n,).
+        """
+        return np.asarray(np.linalg.solve(self._lower, p if self._basis is None else self._basis.T @ p), dtype=float)
 
     def apart(self, one: End, other: End) -> bool:
         """Return whether two ends are two outcomes."""

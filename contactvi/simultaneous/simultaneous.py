@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.importing.couplings import coupled_basis
 from contactvi.inputs import real
 from contactvi.simultaneous.closed_contacts import ClosedContact, closed_contacts
 from contactvi.simultaneous.impact_sequences import End, Impacts
@@ -180,9 +181,10 @@ def simultaneous_outcomes(
     # The search runs in the engine's coordinates, whose velocity of a free-flyer is that of its origin in the world.
     core = compiled.core
     mass = np.column_stack([core.dynamics(q0, unit)[0] for unit in np.eye(states.nv)])
-    lower: Array = np.linalg.cholesky(0.5 * (mass + mass.T)).astype(float, copy=False)
+    followers = compiled.built.elements.couplings.followers
+    basis = coupled_basis(compiled.built.model, followers) if followers else None
     p = core.momentum_to_engine(q0, np.asarray(core.momentum(q0[None], v0[None]))[0])
-    impacts = Impacts(engine, [contact.mobile for contact in contacts], lower, p)
+    impacts = Impacts(engine, [contact.mobile for contact in contacts], mass, basis, p)
     ends, complete = impacts.every_order(limit)
     chosen = impacts.chosen()
     found = (chosen, *(end for end in ends if impacts.apart(end, chosen)))
@@ -229,6 +231,8 @@ def _certificate(contacts: Sequence[ClosedContact], rows: Sequence[Array]) -> Ce
 def _outcome(end: End, core: EngineScene, q: Array, contacts: Sequence[ClosedContact]) -> Outcome:
     p = core.momentum_to_public(q, end.p)
     v = np.asarray(core.velocity(q[None], p[None]), dtype=float)[0]
+    if core.followers:  # of coupled joints p = M v, with what the coupling adds to the impulses
+        p = np.asarray(core.momentum(q[None], v[None]), dtype=float)[0]
     return Outcome(
         v_plus=v,
         p_plus=p,

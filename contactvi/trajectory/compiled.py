@@ -155,8 +155,13 @@ class CompiledScene:
 
     @cached_property
     def constraint_rows(self) -> list[ConstraintRows]:
-        """The constraints in the engine's order."""
-        return [ConstraintRows(row.name, row.kind, row.rows) for row in self.built.elements.constraints]
+        """The constraints that steps solve for, in the engine's order."""
+        return [ConstraintRows(row.name, row.kind, row.rows) for row in self.built.elements.equations]
+
+    @cached_property
+    def followers(self) -> int:
+        """How many joints follow others."""
+        return len(self.built.elements.couplings.followers)
 
     @cached_property
     def loses_energy(self) -> bool:

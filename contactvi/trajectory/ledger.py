@@ -111,7 +111,8 @@ class Ledger:
         """Take the engine's scene, the complete scene that it is made from, and a run of it."""
         self._core, self._built, self._run = core, built, run
         self._forced, self._forces, self._given = run.forced, run.forces, run.energies
-        self._constrained = built.constrained or bool(run.forces is not None and run.forces.constraints)
+        rows = [] if run.forces is None else run.forces.constraints
+        self._constrained = built.constrained or any(row.name not in built.elements.couplings.names for row in rows)
         self._dt = float("nan") if run.options.auto else run.options.fixed_dt
         self._damping = np.array(built.model.damping, dtype=float)
         self._steps = RemadeSteps(

@@ -57,7 +57,9 @@ def _persistent_stepping(traj: Run, phases: Mapping[str, NDArray[Any]] | None) -
     persistent = phases["persistent"] == StepKind.PERSISTENT
     ends = np.append(phases["t"][1:], traj.status.time)
     span = float((ends - phases["t"])[persistent].sum())
-    constrained = bool(traj.constraints) or traj.scene.built().constrained
+    built = traj.scene.built()
+    coupled = built.elements.couplings.names
+    constrained = built.constrained or any(row.name not in coupled for row in traj.constraints)
     what = "constraints met" if constrained else f"persistent contact for {span:.4g} s"
     lengths, same = _lengths(phases["dt"][persistent]), traj.options.order == 2 and not traj.options.auto
     if same and np.all(phases["dt"][persistent] == traj.options.fixed_dt):

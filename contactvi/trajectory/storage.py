@@ -179,6 +179,7 @@ class Run(Protocol):
     forces: Forces | None
     inputs: RunInputs | None
 
+    def all_forces(self) -> Forces: ...
     @property
     def scene(self) -> Scene: ...
 
@@ -209,7 +210,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "pair_names": traj.scene.pair_names,
         "joint_names": list(traj.scene.model.names),
         "gap_pairs": gap_pairs,
-        "constraints": [] if traj.forces is None else [list(row) for row in traj.forces.constraints],
+        "constraints": [] if traj.forces is None else [list(row) for row in traj.all_forces().constraints],
         "scene": traj.scene.to_dict(),
         "visuals": [visual.to_dict() for visual in traj.visuals],
     }
@@ -226,7 +227,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     for group, log in logs:
         entries |= {f"{group}/{name}": values for name, values in log.arrays.items() if len(log)}
     if traj.forces is not None:
-        entries |= {"force/work": traj.forces.values, "force/reactions": traj.forces.reactions}
+        entries |= {"force/work": traj.forces.values, "force/reactions": traj.all_forces().reactions}
     if traj.inputs is not None:
         entries |= {f"input/{name}": values for name, values in traj.inputs.stored().items()}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}

@@ -22,6 +22,7 @@ from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
+from contactvi.trajectory.coupled_reactions import coupled_rows, with_coupled
 from contactvi.trajectory.exports import Exports
 from contactvi.trajectory.gaps import Gaps, gaps_along
 from contactvi.trajectory.interpolation import interpolated, times_within
@@ -126,6 +127,7 @@ class Trajectory(Exports):
         self._frames = frames
         self._visuals = visuals
         self.forces = forces
+        self._all_forces: Forces | None = None
         self.inputs = inputs
         self.separation: Separation | None = None
         self._ledger: Ledger | None = None
@@ -246,8 +248,13 @@ class Trajectory(Exports):
 
     @property
     def constraints(self) -> list[ConstraintRows]:
-        """The constraints of the run: (name, kind, rows)."""
-        return [] if self.forces is None else list(self.forces.constraints)
+        """The constraints of the run: (name, kind, rows); after those that steps solve for those that couple joints."""
+        if self.forces is None:
+            return []
+        known = {row.name for row in self.forces.constraints}
+        coupled = coupled_rows(self.scene.built()) if self.forces.on_followers is not None else []
+        more = [ConstraintRows(row.name, row.kind, row.rows) for row in coupled if row.name not in known]
+        return [*self.forces.constraints, *more]
 
     def reactions(self, name: str) -> Array:
         """Return the mean force of a constraint over the time since the node before, impacts included, (N, rows).
@@ -258,10 +265,21 @@ class Trajectory(Exports):
         and -x and the force along z on b, in the axes of frame_a; of a prescribed or following joint what acts on it;
         of a body with a prescribed pose force, then torque on it at its origin, in its axes.
 
+        Linear joint equalities are coordinates of the engine: their reactions are computed here, from the momenta.
+
         Raises:
             InputError: for an unknown name.
         """
-        return self._forces().of(name)
+        return self.all_forces().of(name)
+
+    def all_forces(self) -> Forces:
+        """Return work and reactions, those of linear joint equalities among them."""
+        forces = self._forces()
+        if forces.on_followers is None:
+            return forces
+        if self._all_forces is None:
+            self._all_forces = with_coupled(forces, self.p, self.scene.built())
+        return self._all_forces
 
     def _forces(self) -> Forces:
         if self.forces is None:

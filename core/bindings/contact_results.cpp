@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "model/coordinates.hpp"
+#include "step/integrator.hpp"
 
 namespace nb = nanobind;
 
@@ -17,6 +18,7 @@ PublicGuard public_guard(const Scene& s, int guard) {
 }
 
 VecX public_momentum(const Tree& tree, const VecX& q, VecX p) {
+  if (!tree.followers.empty()) Integrator(tree, 1, 1e-12, 1).complete_momentum(q, p);
   engine_to_public(tree, q, p);
   return p;
 }

@@ -1,6 +1,7 @@
 // Forces, actuation and constraints of a scene: added once, before any simulator is made.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/variant.h>
@@ -17,6 +18,7 @@
 #include "bindings/user_calls.hpp"
 #include "model/constraints.hpp"
 #include "model/coordinates.hpp"
+#include "model/coupling.hpp"
 #include "model/moving_frame.hpp"
 #include "model/scene.hpp"
 
@@ -251,9 +253,20 @@ void add_user_potential(Scene& s, const Potential& value, const Gradient& gradie
   s.tree.elements.potentials.push_back(std::move(p));
 }
 
+// Into the constraints that were given and, unless it couples joints, into those of the steps.
+void push_constraint(Elements& e, Constraint c, bool coupled) {
+  Constraint given = c;
+  given.row = e.given_rows;
+  e.given_rows += c.rows;
+  e.given_constraints.push_back(std::move(given));
+  if (coupled) return;
+  e.constraint_rows += c.rows;
+  e.constraints.push_back(std::move(c));
+}
+
 void add_constraint(Scene& s, ConstraintKind kind, int joint_a, const std::optional<Mat3>& R_a, const Vec3& p_a,
                     int joint_b, const std::optional<Mat3>& R_b, const Vec3& p_b, const VecX& numbers,
-                    const std::optional<Motion>& signal, const std::string& name) {
+                    const std::optional<Motion>& signal, const std::string& name, bool coupled) {
   Elements& e = s.tree.elements;
   Constraint c{kind, {}, {}, -1, -1, list_of(numbers), signal_of(s, signal), e.constraint_rows, 0};
   switch (c.kind) {
@@ -272,9 +285,33 @@ void add_constraint(Scene& s, ConstraintKind kind, int joint_a, const std::optio
       need(c.kind != ConstraintKind::kDistance || c.signal || numbers.size() == 1, "a distance has one number");
   }
   c.rows = constraint_rows(c.kind);
-  c.name = name.empty() ? "constraint " + std::to_string(e.constraints.size()) : name;
-  e.constraint_rows += c.rows;
-  e.constraints.push_back(std::move(c));
+  c.name = name.empty() ? "constraint " + std::to_string(e.given_constraints.size()) : name;
+  push_constraint(e, std::move(c), coupled);
+}
+
+using GivenCoupling = std::tuple<int, double, std::vector<std::pair<int, double>>>;
+
+// Couples joints for which constraints were added as coupled: follower, offset, and the leaders with their ratios.
+// lent: armature with S^T diag S = 0, (nv,) or empty.
+void couple_joints(Scene& s, const std::vector<GivenCoupling>& couplings, const VecX& lent) {
+  Tree& tree = s.tree;
+  std::vector<Follower> followers;
+  std::vector<char> follows(tree.joints.size(), 0);
+  for (const auto& [joint, offset, leaders] : couplings) {
+    Follower f{one_dof(tree, joint, false), offset, {}};
+    need(!leaders.empty(), "a coupled joint follows at least one other");
+    need(follows[f.joint] == 0, "a joint follows others once");
+    follows[f.joint] = 1;
+    for (const auto& [leader, ratio] : leaders) f.leaders.push_back({one_dof(tree, leader, false), ratio});
+    followers.push_back(std::move(f));
+  }
+  for (const Follower& f : followers)
+    for (const Follower::Leader& leader : f.leaders) need(follows[leader.joint] == 0, "leaders follow no others");
+  set_followers(tree, std::move(followers));
+  need(lent.size() == 0 || lent.size() == tree.nv, "expected shape (nv,)");
+  if (lent.size() == 0) return;
+  tree.lent_armature = lent;
+  tree.armature += lent;
 }
 
 using PoseFunction = nb::typed<nb::callable, std::tuple<Vec3, Mat3, Vec3, Vec3>(double)>;
@@ -293,8 +330,7 @@ void add_prescribed_pose(Scene& s, int joint, const Mat3& R, const Vec3& p, cons
   Constraint c{
       ConstraintKind::kWeld, {}, frame(s.tree, joint, R, p), -1, -1, {}, std::move(moving), e.constraint_rows, 0, name};
   c.rows = constraint_rows(c.kind);
-  e.constraint_rows += c.rows;
-  e.constraints.push_back(std::move(c));
+  push_constraint(e, std::move(c), false);
 }
 
 // phi (m,), W (nv, m) in engine coordinates and rate (m,) of all constraints.
@@ -305,11 +341,11 @@ struct Evaluated {
 
 Evaluated evaluate(const Scene& s, const VecX& q, double t) {
   need(q.size() == s.tree.nq, "expected shape (nq,)");
-  const int m = s.tree.elements.constraint_rows;
+  const int m = s.tree.elements.given_rows;
   Evaluated e{VecX::Zero(m), VecX::Zero(m), MatX::Zero(s.tree.nv, m)};
   Placements at(s.tree);
   place(s.tree, q, at);
-  evaluate_constraints(s.tree, at, q, t, e.phi, e.W, e.rate);
+  evaluate_given_constraints(s.tree, at, q, t, e.phi, e.W, e.rate);
   s.tree.elements.forget_failure();
   UserErrors::raise();
   return e;
@@ -323,7 +359,7 @@ Array2 jacobian(const Scene& s, const VecX& q, double t) {
 
 std::vector<int> rows_per_constraint(const Scene& s) {
   std::vector<int> rows;
-  for (const Constraint& c : s.tree.elements.constraints) rows.push_back(c.rows);
+  for (const Constraint& c : s.tree.elements.given_constraints) rows.push_back(c.rows);
   return rows;
 }
 
@@ -346,14 +382,28 @@ void expose_elements(nb::class_<Scene>& scene) {
       .def("add_user_potential", &add_user_potential, "value"_a, "gradient"_a, "hessian"_a = nb::none(),
            "value(q) [J], gradient(q) -> (nv,).")
       .def("add_constraint", &add_constraint, "kind"_a, "joint_a"_a, "R_a"_a.none(), "p_a"_a, "joint_b"_a,
-           "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "name"_a = "",
-           "Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp.")
+           "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "name"_a = "", "coupled"_a = false,
+           "Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp. A coupled one is "
+           "for couple_joints.")
+      .def("couple_joints", &couple_joints, "couplings"_a, "lent_armature"_a,
+           "Let joints follow others: (joint, offset, [(leader, ratio), ...]) each; see core/model/coupling.hpp. The "
+           "lent armature (nv,), or empty, is no inertia of the coupled motion.")
       .def("add_prescribed_pose", &add_prescribed_pose, "joint"_a, "R"_a, "p"_a, "pose"_a, "name"_a,
            "Let a frame of a body follow pose(t) -> (position, rotation, velocity, angular velocity), world frame.")
       .def("set_servo", &set_servo, "kp"_a, "kd"_a, "effort"_a,
            "Gains and largest torque of the servos of joints with one degree of freedom, (nv,) each.")
       .def("set_actuator_limits", &set_actuator_limits, "effort"_a, "velocity"_a,
            "Largest effort [N; N m] and speed [m/s; rad/s] of the actuators, (nv,) each; inf is no limit.")
+      .def_prop_ro(
+          "followers",
+          [](const Scene& s) {
+            std::vector<int> joints;
+            for (const Follower& f : s.tree.followers)
+              for (std::size_t k = 0; k < s.tree.body_of_source.size(); ++k)
+                if (s.tree.body_of_source[k] == f.joint) joints.push_back(static_cast<int>(k));
+            return joints;
+          },
+          "The joints that follow others, in the order of their columns in the reactions of a run.")
       .def_prop_ro("constraint_rows", &rows_per_constraint, "Number of rows of each constraint.")
       .def(
           "constraint_residual",

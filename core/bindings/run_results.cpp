@@ -5,6 +5,8 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
+#include <optional>
+
 #include "bindings/contact_results.hpp"
 #include "model/coordinates.hpp"
 
@@ -32,12 +34,15 @@ Dict stats(const RunState& state, const EngineCounters& counters, double seconds
 
 // Turns momenta into public coordinates, row after row, at the configurations of q.
 void make_public(const Tree& tree, const std::vector<double>& q, std::vector<double>& p) {
-  if (tree.split.empty()) return;
+  if (tree.split.empty() && tree.followers.empty()) return;
+  std::optional<Integrator> equations;
+  if (!tree.followers.empty()) equations.emplace(tree, 1, 1e-12, 1);
   VecX qi(tree.nq), pi(tree.nv);
   for (std::size_t i = 0; i * tree.nv < p.size(); ++i) {
     Eigen::Map<VecX> row(p.data() + i * tree.nv, tree.nv);
     qi = Eigen::Map<const VecX>(q.data() + i * tree.nq, tree.nq);
     pi = row;
+    if (equations) equations->complete_momentum(qi, pi);
     engine_to_public(tree, qi, pi);
     row = pi;
   }
@@ -72,7 +77,8 @@ void add_status(const Scene& s, const Status& status, nb::dict& d) {
 Dict run_results(const Scene& s, const SimulatorOptions& options, Recording& recording, const RunState& state,
                  const EngineCounters& counters, KeptContactSteps kept, const Status& status, double seconds) {
   Dict d;
-  const std::size_t n = recording.t.size(), rows = static_cast<std::size_t>(s.tree.elements.constraint_rows);
+  const std::size_t n = recording.t.size(),
+                    rows = static_cast<std::size_t>(s.tree.elements.constraint_rows) + s.tree.followers.size();
   recording.work.resize(4 * n, 0.0);  // it is empty where nothing does work
   d["work"] = hand_over(std::move(recording.work), n, 4);
   d["reactions"] = rows == 0 ? nb::object(nb::none()) : nb::cast(hand_over(std::move(recording.reactions), n, rows));

@@ -156,7 +156,8 @@ Array1 current_velocity(SteppedWorld& sim) {
   Integrator integrator(tree, 1, 1e-12, 1);  // of its own: callbacks read the velocity in the middle of a step
   VecX v(tree.nv);
   if (!integrator.node_velocity(sim.q(), sim.p(), v)) throw Error("the mass matrix is not positive definite");
-  return hand_over(public_momentum(tree, sim.q(), v));
+  engine_to_public(tree, sim.q(), v);
+  return hand_over(std::move(v));
 }
 
 // A simulator keeps its scene alive. The garbage collector has to know, because functions of the user that the scene

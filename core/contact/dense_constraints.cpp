@@ -2,6 +2,7 @@
 #include "model/constraint_check.hpp"
 #include "contact/dense_step.hpp"
 #include "model/constraints.hpp"
+#include "model/coupling.hpp"
 #include "step/path.hpp"
 
 namespace contactvi {
@@ -13,6 +14,8 @@ constexpr double kMet = 1e-14;  // of the coordinates: what constraints are clos
 void DenseStep::evaluate(const VecX& q, double t, Constraints& node) {
   guards_->place(q);
   evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W, node.rate);
+  node.whole = node.W;
+  project_rows(scene_->tree, node.W);
 }
 
 // Newton's method for the constraints at the end of the step with the velocity v_. Returns the largest change of v_.
@@ -43,6 +46,7 @@ VecX DenseStep::multipliers(const VecX& dv, const VecX& lambda) const {
   if (!constrained()) return VecX();
   VecX p = momentum(dv);
   rows_.add_impulses(-lambda, p);
+  project_rows(scene_->tree, p);
   return solver_.multipliers(p);
 }
 
@@ -56,7 +60,7 @@ void DenseStep::close_rates(VecX& p) {
   reduction_.set(end_.W.transpose() * X, static_cast<int>(end_.mu.size()));
   reduction_.right_side(end_.W.transpose() * work_ + end_.rate);
   reduction_.complete(VecX(), end_.mu);
-  p += end_.W * end_.mu;
+  p += end_.whole * end_.mu;
 }
 
 // The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
@@ -66,8 +70,10 @@ double DenseStep::driven_work() const { return -start_.mu.dot(start_.rate) - end
 // speeds at both ends, the trapezoid of which driven_work() is the work, and the bodies by the step: returns what these
 // differ by [J].
 double DenseStep::take_reactions() {
-  end_.mu = solver_.multipliers(momentum(v1_) - p1_);
-  p1_ += end_.W * end_.mu;
+  work_ = momentum(v1_) - p1_;
+  project_rows(scene_->tree, work_);
+  end_.mu = solver_.multipliers(work_);
+  p1_ += end_.whole * end_.mu;
   const VecX mean = 0.5 * ((start_.W + end_.W).transpose() * v_ + start_.rate + end_.rate);
   return std::abs((start_.mu + end_.mu).dot(mean));
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "model/constraints.hpp"
+#include "model/coupling.hpp"
 
 namespace contactvi {
 
@@ -207,6 +208,7 @@ void DenseRecorder::finish(const std::vector<DenseContact>& contacts, const VecX
       const DenseStepRecord::Contact& c = s.contacts[i];
       guards_->rows(c.point.guard, contact_at(i), tangent_at(i), W.middleCols(c.row, c.mu > 0.0 ? 3 : 1));
     }
+    project_rows(scene_->tree, W);  // as those of the contact problem (dense_rows.hpp)
   };
   for (DenseStepRecord::Place& place : s.places)
     fill(place.q, [&](std::size_t i) { return place.end[i]; }, [&](std::size_t i) { return place.t1[i]; }, place.W);

@@ -1,8 +1,10 @@
 #include "contact/dense_rows.hpp"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 
 #include "base/error.hpp"
+#include "model/coupling.hpp"
 #include "model/point_jacobian.hpp"
 
 namespace contactvi {
@@ -12,7 +14,10 @@ DenseRows::DenseRows(const Scene& scene) : scene_(&scene), body_rows_(MatX::Zero
   const Tree& tree = scene.tree;
   problem_.start = {0};
   for (const Joint& joint : tree.joints) {
-    if (joint.parent < 0) problem_.start.push_back(problem_.start.back());
+    const int number = static_cast<int>(tree_of_joint_.size());
+    const bool held = std::any_of(tree.couplings.begin(), tree.couplings.end(),
+                                  [&](const Coupling& c) { return c.joint < number && number < c.joint_end; });
+    if (joint.parent < 0 && !held) problem_.start.push_back(problem_.start.back());
     const int last = problem_.blocks() - 1;
     if (joint.parent >= 0 && tree_of_joint_[joint.parent] != last)
       throw Error("the joints of a tree do not follow each other");
@@ -24,6 +29,9 @@ DenseRows::DenseRows(const Scene& scene) : scene_(&scene), body_rows_(MatX::Zero
   problem_.M.resize(problem_.blocks());
   inverse_.resize(tree.nv, largest);
   problem_.v_free.setZero(tree.nv);
+  if (tree.followers.empty()) return;
+  const MatX C = complement(tree);
+  spare_inverse_ = C * (C.transpose() * C).llt().solve(C.transpose());
 }
 
 void DenseRows::set_unit_columns() {
@@ -36,6 +44,11 @@ void DenseRows::take_inverse() {
   for (int b = 0; b < problem_.blocks(); ++b) {
     const int n = problem_.size(b);
     const auto inverse = inverse_.block(problem_.start[b], 0, n, n);
+    if (spare_inverse_.size() > 0) {
+      const auto spare = spare_inverse_.block(problem_.start[b], problem_.start[b], n, n);
+      problem_.M.set_inverse(b, 0.5 * (inverse + inverse.transpose()) + (inverse.trace() / n) * spare);
+      continue;
+    }
     problem_.M.set_inverse(b, 0.5 * (inverse + inverse.transpose()));
   }
 }
@@ -81,6 +94,18 @@ void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements
            1.0, at);
 }
 
+// Rows that act on coupled joints, as they act on what moves them.
+void DenseRows::project(const BlockContact& c) {
+  double* w = problem_.W.data() + c.column;
+  for (int block : {c.a, c.b}) {
+    if (block < 0) continue;
+    const int first = problem_.start[block], n = problem_.size(block);
+    Eigen::Map<MatX> rows(w, n, c.rows);
+    rows -= spare_inverse_.block(first, first, n, n) * rows;
+    w += static_cast<std::ptrdiff_t>(c.rows) * n;
+  }
+}
+
 void DenseRows::clear() {
   problem_.contacts.clear();
   rows_ = columns_ = 0;
@@ -109,15 +134,19 @@ void DenseRows::set(const std::vector<DenseContact>& contacts, const std::vector
     problem_.W[block.column + dof - problem_.start[t]] = 1.0;
   }
   problem_.offset.setZero(rows_);
+  if (spare_inverse_.size() == 0) return;
+  whole_rows_ = problem_.W;
+  for (const BlockContact& c : problem_.contacts) project(c);
 }
 
 void DenseRows::add_impulses(const VecX& lambda, VecX& p) const {
+  const std::vector<double>& W = spare_inverse_.size() > 0 ? whole_rows_ : problem_.W;
   for (const BlockContact& c : problem_.contacts) {
     const int size_a = problem_.size(c.a), size_b = c.b >= 0 ? problem_.size(c.b) : 0;
     for (int r = 0; r < c.rows; ++r) {
-      const double* a = problem_.W.data() + c.column + r * size_a;
+      const double* a = W.data() + c.column + r * size_a;
       for (int d = 0; d < size_a; ++d) p[problem_.start[c.a] + d] += lambda[c.row + r] * a[d];
-      const double* b = problem_.W.data() + c.column + c.rows * size_a + r * size_b;
+      const double* b = W.data() + c.column + c.rows * size_a + r * size_b;
       for (int d = 0; d < size_b; ++d) p[problem_.start[c.b] + d] += lambda[c.row + r] * b[d];
     }
   }

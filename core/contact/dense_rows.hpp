@@ -1,4 +1,8 @@
 // The contact problem of a dense step: the rows of its contacts and of joint friction, and the masses, tree by tree.
+//
+// Of coupled joints (model/coupling.hpp), which hold their trees together as one block, the inverse masses are
+// S (S^T M S)^-1 S^T + C c C^T with some c: positive, and with rows that are projected to the velocities v = S u they
+// do the same as without the second term.
 #pragma once
 
 #include <vector>
@@ -41,6 +45,7 @@ class DenseRows {
  private:
   void set_unit_columns();
   void take_inverse();
+  void project(const BlockContact& c);
   BlockContact& add_block(int a, int b, int rows);
   void add_contact(const DenseContact& c, bool at_end, const Placements& at);
   void add_rows(int column, int block, int body, const Vec3& x, const Vec3* directions, int rows, double sign,
@@ -49,8 +54,10 @@ class DenseRows {
   const Scene* scene_;
   BlockProblem problem_;
   std::vector<int> tree_of_joint_;
-  MatX inverse_;    // (nv, largest block): the inverse masses, block under block
-  MatX body_rows_;  // (nv, 3)
+  MatX inverse_;                    // (nv, largest block): the inverse masses, block under block
+  MatX body_rows_;                  // (nv, 3)
+  MatX spare_inverse_;              // C c C^T but for a factor, (nv, nv); empty: no joints are coupled
+  std::vector<double> whole_rows_;  // as BlockProblem::W, before they were projected
   int rows_ = 0, columns_ = 0;
 };
 

@@ -60,6 +60,7 @@ DenseStep::DenseStep(const Scene& scene, Guards& guards, double tol)
   const int rows = tree.elements.constraint_rows;
   for (Constraints* node : {&start_, &end_}) {
     node->W.setZero(tree.nv, rows);
+    node->whole = node->W;
     for (VecX* x : {&node->phi, &node->rate, &node->mu}) x->setZero(rows);
   }
   restart();
@@ -127,7 +128,7 @@ bool DenseStep::iterate_stage() {
 void DenseStep::set_start_momentum() {
   p_start_ = p0_;
   rows_.add_impulses(lambda_, p_start_);
-  if (constrained()) p_start_ += start_.W * start_.mu;
+  if (constrained()) p_start_ += start_.whole * start_.mu;
 }
 
 bool DenseStep::solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {

@@ -113,9 +113,10 @@ class DenseStep {
   DenseStepCounters counters;
 
  private:
-  // The constraints at an end of the step: rows (nv, m), residuals, rates at fixed q, and impulses.
+  // The constraints at an end of the step: rows (nv, m), projected to the velocities of coupled joints and whole,
+  // residuals, rates at fixed q, and impulses.
   struct Constraints {
-    MatX W;
+    MatX W, whole;
     VecX phi, rate, mu;
   };
   bool constrained() const { return start_.phi.size() > 0; }

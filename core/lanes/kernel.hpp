@@ -14,8 +14,10 @@ constexpr bool kOneStage = false;
 #include "lane_dynamics.hpp"
 #include "lane_factor.hpp"
 #include "lane_solve.hpp"
+#include "lane_coupled.hpp"
 #include "lane_columns.hpp"
 #include "lane_newton.hpp"
+#include "lane_coupled_factor.hpp"
 #include "lane_iteration.hpp"
 // clang-format on
 }  // namespace

@@ -91,12 +91,29 @@ inline void columns_forward(const LaneTree* tree, const double* storage, const C
   }
 }
 
+// The factor of coupled joints of a single stage.
+template <class V>
+struct ColumnCoupled {
+  const LaneTree* tree;
+  const double* rows;
+  V* y;
+  double U(int k, int dof) const { return rows[k * tree->nv + dof]; }
+  double scaled(int k, int dof) const { return rows[(tree->followers + k) * tree->nv + dof]; }
+  double inverse(int k, int j) const { return rows[tree->followers * (2 * tree->nv + k) + j]; }
+  void store(int k, V x) const { y[k] = x; }
+  V stored(int k) const { return y[k]; }
+};
+
 template <class V>
 void solve_columns(const LaneTree* tree, const double* storage, const LaneColumns* columns) {
   V* work = reinterpret_cast<V*>(columns->work);
+  const ColumnCoupled<V> coupled = {tree, columns->coupled, work + 6 * (tree->joints + tree->slots)};
   for (int offset = 0; offset < columns->width; offset += Lane<V>::count) {
     const ColumnGroup<V> g = {columns, offset, work + 6 * tree->joints, work};
+    for (int k = 0; k < columns->coupling_count; ++k) fold(*tree, columns->couplings[k], g);
     columns_backward(tree, storage, g);
+    for (int k = 0; k < columns->coupling_count; ++k) couple(*tree, columns->couplings[k], g, coupled);
     columns_forward(tree, storage, g);
+    for (int k = 0; k < columns->coupling_count; ++k) follow(*tree, columns->couplings[k], g);
   }
 }

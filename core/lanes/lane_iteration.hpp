@@ -166,12 +166,30 @@ inline void measure_impulses(const G& g) {
   V sum = Lane<V>::all(0.0);
   for (int i = 0; i < g.tree->joints; ++i) {
     const LaneJoint& j = g.tree->joint[i];
+    if (j.coupled) continue;
     const V* factor = g.storage + j.at + j.velocity + 9;
     const int three[3] = {18, 21, 23};
     for (int d = 0; d < (has_three(j) ? 3 : 1); ++d) {
       const V impulse = g.length() * g.at(w.magnitude, j.dof + d);
       sum = sum + impulse * impulse * factor[has_three(j) ? three[d] : 6];
     }
+  }
+  // A leader has the forces and the inertia of its followers, too.
+  const auto inverse = [&](int joint) {
+    const LaneJoint& j = g.tree->joint[joint];
+    return g.storage[j.at + j.velocity + 9 + 6];
+  };
+  for (int i = 0; i < g.tree->leaders; ++i) {
+    const LaneLeader& leader = g.tree->leader[i];
+    V size = g.at(g.work->magnitude, leader.dof), inertia = 1.0 / inverse(leader.joint);
+    for (int t = leader.first; t < leader.first + leader.count; ++t) {
+      const LaneTerm& term = g.tree->term[t];
+      const double ratio = term.ratio < 0.0 ? -term.ratio : term.ratio;
+      size = size + ratio * g.at(g.work->magnitude, term.dof);
+      inertia = inertia + ratio * ratio / inverse(term.joint);
+    }
+    const V impulse = g.length() * size;
+    sum = sum + impulse * impulse / inertia;
   }
   store<V>(w.impulse_energy + g.first(), sum);
 }
@@ -187,15 +205,18 @@ inline void correct(const G& g, int flags) {
       measure_impulses(g);
     }
     if (flags & kLaneNewton) factor_newton(g);
+    if (g.tree->couplings > 0) {
+      if (!(flags & kLaneNewton) || (flags & kLaneFirst)) factor_coupled(g);
+      if (flags & kLaneNewton) factor_coupled_newton(g);
+    }
   }
+  fold_all(g, w.dv);
   // The residual is needed again after the solve overwrites it; the magnitudes are not, so it takes their array.
   for (int dof = 0; dof < g.tree->nv; ++dof) g.put(w.magnitude, dof, g.at(w.dv, dof));
   if (flags & kLaneNewton) {
-    solve_newton_backward(g);
-    solve_newton_forward(g);
+    solve_newton_group(g);
   } else {
-    solve_backward(g);
-    solve_forward(g);
+    solve_group(g);
   }
   V error = load<V>(w.error + g.first()), kinetic = Lane<V>::all(0.0);
   for (int dof = 0; dof < g.tree->nv; ++dof) {
@@ -204,6 +225,7 @@ inline void correct(const G& g, int flags) {
     kinetic = kinetic + g.at(w.P, dof) * v;
     if (!(flags & kLaneKeepVelocity)) g.put(w.v, dof, v + dv);
   }
+  if (!(flags & kLaneKeepVelocity)) follow_all(g, w.v);
   store<V>(w.error + g.first(), error);
   store<V>(w.kinetic + g.first(), kinetic);
 }
@@ -212,6 +234,8 @@ inline void correct(const G& g, int flags) {
 template <class V, class Make>
 LANE_INLINE void iterate_groups(const LaneTree* tree, const LaneWork* work, int flags, Make make) {
   const int count = groups<V>(work);
+  if (tree->couplings > 0)
+    for (int k = 0; k < count; ++k) follow_all(group<V>(tree, work, k), work->v);
   if (tree->balls > 0) {
     // X' depends on X: iterated once more, so that its error does not slow down the iterations on v.
     rates<V>(tree, work);
@@ -254,8 +278,8 @@ void solve_runs(const LaneTree* tree, const LaneWork* work) {
     const RunGroup<V> g = run_group<V>(tree, work, k);
     place_all(g);
     factor_group(g);
-    solve_backward(g);
-    solve_forward(g);
+    if (tree->couplings > 0) factor_coupled(g);
+    solve_group(g);
   }
 }
 
@@ -307,15 +331,17 @@ void place_stages(const LaneTree* tree, const LaneWork* work) {
 
 template <class V>
 void factor_stages(const LaneTree* tree, const LaneWork* work) {
-  for (int k = 0; k < groups<V>(work); ++k) factor_group(group<V>(tree, work, k));
+  for (int k = 0; k < groups<V>(work); ++k) {
+    const Group<V> g = group<V>(tree, work, k);
+    factor_group(g);
+    if (tree->couplings > 0) factor_coupled(g);
+  }
 }
 
 template <class V>
 void solve_stages(const LaneTree* tree, const LaneWork* work) {
   for (int k = 0; k < groups<V>(work); ++k) {
-    const Group<V> g = group<V>(tree, work, k);
-    solve_backward(g);
-    solve_forward(g);
+    solve_group(group<V>(tree, work, k));
   }
 }
 

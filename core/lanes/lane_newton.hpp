@@ -262,11 +262,12 @@ inline void factor_newton(const Group<V>& g) {
   }
 }
 
+// first, end: the joints that are solved for, which are whole trees.
 template <class V>
-inline void solve_newton_backward(const Group<V>& g) {
+inline void solve_newton_backward(const Group<V>& g, int first, int end) {
   const V zero = Lane<V>::all(0.0);
   double* dv = g.work->dv;
-  for (int i = g.tree->joints - 1; i >= 0; --i) {
+  for (int i = end - 1; i >= first; --i) {
     const LaneJoint& j = g.tree->joint[i];
     const V *newton = newton_storage(g, j), *axis = newton + 15, *inverse = newton + 6;
     const int dofs = has_three(j) ? 3 : 1;
@@ -290,10 +291,10 @@ inline void solve_newton_backward(const Group<V>& g) {
 }
 
 template <class V>
-inline void solve_newton_forward(const Group<V>& g) {
+inline void solve_newton_forward(const Group<V>& g, int first, int end) {
   const V zero = Lane<V>::all(0.0);
   double* dv = g.work->dv;
-  for (int i = 0; i < g.tree->joints; ++i) {
+  for (int i = first; i < end; ++i) {
     const LaneJoint& j = g.tree->joint[i];
     V* at = g.storage + j.at;
     const V *newton = newton_storage(g, j), *axis = newton + 15, *inverse = newton + 6;

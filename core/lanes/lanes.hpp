@@ -34,7 +34,8 @@ struct LaneJoint {
   int parent_slot;  // -1: root
   bool first;       // writes its parent's slot instead of adding to it
   bool has_gamma, has_rotation;
-  int alpha;  // LaneAngle
+  bool coupled;  // it follows another joint, or others follow it
+  int alpha;     // LaneAngle
   double cos_gamma, sin_gamma, cos_alpha, sin_alpha;
   double turn;                  // constant turn of its frame, part of base; turns and screws
   double cos_fixed, sin_fixed;  // of the constant turn, for slides
@@ -52,11 +53,41 @@ struct LaneJoint {
 // factor (lane_newton.hpp).
 const int kLaneFactor1 = 7, kLaneFactor3 = 24, kLaneNewton1 = 6 + 9 + 24, kLaneNewton3 = 6 + 9 + 72;
 
+// Coupled joints, v = S u: a dof that follows others has the sum of ratio times their velocities (lane_coupled.hpp).
+struct LaneTerm {
+  int dof, joint;
+  double ratio;
+};
+struct LaneFollower {
+  int dof, joint;
+  int first, count;  // of its terms, the leaders
+  // Of LaneTree::path: the joints that carry it or its leaders, and these, ascending; then so many dofs of theirs.
+  int path, joints, dofs;
+};
+struct LaneLeader {
+  int dof, joint;
+  int first, count;  // of its terms, the followers
+};
+// Followers whose trees belong together, and the range of joints and dofs in which these trees lie.
+struct LaneCoupling {
+  int first, count;
+  int joint, joint_end, dof, dof_end;
+};
+
 struct LaneTree {
   int joints, nv, balls, slots;
   int storage;  // vectors per group of lanes
   const LaneJoint* joint;
+  int followers, leaders, couplings;  // 0: no joints are coupled
+  const LaneFollower* follower;
+  const LaneLeader* leader;
+  const LaneCoupling* coupling;
+  const LaneTerm* term;
+  const int* path;
 };
+
+// Numbers per stage that a factor of coupled joints takes (lane_coupled.hpp).
+constexpr int coupled_rows(const LaneTree& tree) { return tree.followers * (2 * tree.nv + tree.followers + 1); }
 
 struct LaneWork {
   int s, S;
@@ -85,6 +116,7 @@ struct LaneWork {
   double* magnitude;       // sizes of the terms of G
   const double* diagonal;  // added to the mass matrix in the factor (armature, stiffness, damping)
   double *storage, *slots;
+  double* coupled;  // factors of coupled joints, coupled_rows() per stage of the mass matrix, then of Newton's matrix
   // From each array to that of its derivatives, for the functions that need them; from there on to those along a second
   // direction, twice that. Storage and slots, which these functions use for pairs and quadruples of numbers, excepted.
   long shadow;
@@ -101,9 +133,12 @@ struct LaneWork {
 struct LaneColumns {
   int width;          // columns in memory, a multiple of the lanes
   double* X;          // [dof * width + column], aligned to 64 bytes
-  double* work;       // 6 (joints + slots) lanes of vectors, aligned to 64 bytes
+  double* work;       // 6 (joints + slots) + followers lanes of vectors, aligned to 64 bytes
   const int* joints;  // whole trees, in the tree's order: only their dofs are read and written
   int count;
+  const double* coupled;  // of the stage whose factor it is
+  const int* couplings;   // of these trees
+  int coupling_count;
 };
 
 enum LaneFlags {
@@ -120,7 +155,7 @@ struct LaneKernel {
   // Kinematics at the given X as far as factor and solve need them.
   void (*place)(const LaneTree*, const LaneWork*);
   void (*factor)(const LaneTree*, const LaneWork*);
-  void (*solve)(const LaneTree*, const LaneWork*);  // dv <- (M + diagonal)^-1 dv
+  void (*solve)(const LaneTree*, const LaneWork*);  // dv <- (M + diagonal)^-1 dv; S (S^T (M + diagonal) S)^-1 S^T dv
   // X <- (M + diagonal)^-1 X with the factor in the storage of a kernel with one lane.
   void (*solve_columns)(const LaneTree*, const double* storage, const LaneColumns*);
   // X from the rates, P and G there, residual p0 + hA G - P, correction dv by the stored factor, v += dv.

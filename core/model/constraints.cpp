@@ -122,27 +122,11 @@ void prescribed(const Constraint& c, const VecCRef& q, double t, Rows& rows) {
   ++rows.row;
 }
 
-}  // namespace
-
-int constraint_rows(ConstraintKind kind) {
-  switch (kind) {
-    case ConstraintKind::kPoint:
-      return 3;
-    case ConstraintKind::kWeld:
-      return 6;
-    case ConstraintKind::kScrew:
-      return 5;
-    default:
-      return 1;
-  }
-}
-
-void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
-                          Eigen::Ref<MatX> W, VecRef rate) {
-  W.setZero();
-  rate.setZero();
-  Rows rows{tree, at, phi, W, rate, 0};
-  for (const Constraint& c : tree.elements.constraints) {
+void evaluate(const std::vector<Constraint>& constraints, const VecCRef& q, double t, Rows& rows) {
+  const Placements& at = rows.at;
+  rows.W.setZero();
+  rows.rate.setZero();
+  for (const Constraint& c : constraints) {
     rows.row = c.row;
     if (c.kind == ConstraintKind::kEquality) {
       equality(c, q, rows);
@@ -169,6 +153,33 @@ void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef&
       }
     }
   }
+}
+
+}  // namespace
+
+int constraint_rows(ConstraintKind kind) {
+  switch (kind) {
+    case ConstraintKind::kPoint:
+      return 3;
+    case ConstraintKind::kWeld:
+      return 6;
+    case ConstraintKind::kScrew:
+      return 5;
+    default:
+      return 1;
+  }
+}
+
+void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
+                          Eigen::Ref<MatX> W, VecRef rate) {
+  Rows rows{tree, at, phi, W, rate, 0};
+  evaluate(tree.elements.constraints, q, t, rows);
+}
+
+void evaluate_given_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
+                                Eigen::Ref<MatX> W, VecRef rate) {
+  Rows rows{tree, at, phi, W, rate, 0};
+  evaluate(tree.elements.given_constraints, q, t, rows);
 }
 
 }  // namespace contactvi

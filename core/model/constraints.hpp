@@ -20,5 +20,8 @@ int constraint_rows(ConstraintKind kind);
 // d phi/dt (m,). at: the placements at q.
 void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
                           Eigen::Ref<MatX> W, VecRef rate);
+// Those of the constraints as they were given, couplings of joints among them.
+void evaluate_given_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
+                                Eigen::Ref<MatX> W, VecRef rate);
 
 }  // namespace contactvi

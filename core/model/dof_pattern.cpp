@@ -28,7 +28,8 @@ bool couples_branches(const Tree& tree) {
 }  // namespace
 
 DofPattern::DofPattern(const Tree& tree) : level_(tree.nv), first_(tree.nv), place_(tree.nv) {
-  const bool coupled = couples_branches(tree);
+  // Coupled joints may be on different branches, and what acts on the one acts on the other.
+  const bool coupled = couples_branches(tree) || !tree.followers.empty();
   std::vector<int> component(tree.nv);
   for (int d = 0; d < tree.nv; ++d) {
     const int parent = coupled ? d - 1 : tree.dof_parent[d];

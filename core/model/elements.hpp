@@ -97,6 +97,10 @@ struct Elements {
   std::vector<UserPotential> potentials;
   std::vector<Constraint> constraints;
   int constraint_rows = 0;
+  // Those that were given, with their own rows: some of them may be couplings of joints, which steps know as
+  // coordinates (model/coupling.hpp).
+  std::vector<Constraint> given_constraints;
+  int given_rows = 0;
   std::vector<int> friction_dofs;        // those whose joint friction is not 0
   std::shared_ptr<UserCalls> functions;  // of the users; null: none
 

@@ -179,7 +179,57 @@ FlatModel::FlatModel(const Tree& tree) : joints(tree.joints.size()), lanes{} {
   for (int i = static_cast<int>(joints.size()) - 1; i >= 0; --i)
     if (joints[i].parent >= 0) joints[joints[i].parent].subtree_mass += joints[i].subtree_mass;
   const int slots = assign_slots(joints);
-  lanes = {static_cast<int>(joints.size()), tree.nv, balls, slots, at, joints.data()};
+  take_couplings(tree);
+  lanes = {static_cast<int>(joints.size()),
+           tree.nv,
+           balls,
+           slots,
+           at,
+           joints.data(),
+           static_cast<int>(followers.size()),
+           static_cast<int>(leaders.size()),
+           static_cast<int>(couplings.size()),
+           followers.data(),
+           leaders.data(),
+           couplings.data(),
+           terms.data(),
+           path.data()};
+}
+
+void FlatModel::take_couplings(const Tree& tree) {
+  std::vector<std::vector<LaneTerm>> led(tree.joints.size());
+  for (const Follower& f : tree.followers) {
+    std::vector<char> on_path(tree.joints.size(), 0);
+    const auto walk = [&](int joint) {
+      for (; joint >= 0 && on_path[joint] == 0; joint = tree.joints[joint].parent) on_path[joint] = 1;
+    };
+    walk(f.joint);
+    for (const Follower::Leader& leader : f.leaders) walk(leader.joint);
+    const int start = static_cast<int>(path.size());
+    for (std::size_t j = 0; j < on_path.size(); ++j)
+      if (on_path[j] != 0) path.push_back(static_cast<int>(j));
+    const int end = static_cast<int>(path.size());
+    for (int k = start; k < end; ++k)
+      for (int d = 0; d < tree.joints[path[k]].nv; ++d) path.push_back(tree.joints[path[k]].iv + d);
+    followers.push_back({f.iv, f.joint, static_cast<int>(terms.size()), static_cast<int>(f.leaders.size()), start,
+                         end - start, static_cast<int>(path.size()) - end});
+    joints[f.joint].coupled = true;
+    for (const Follower::Leader& leader : f.leaders) {
+      joints[leader.joint].coupled = true;
+      terms.push_back({leader.iv, leader.joint, leader.ratio});
+      led[leader.joint].push_back({f.iv, f.joint, leader.ratio});
+    }
+  }
+  for (std::size_t j = 0; j < led.size(); ++j) {
+    if (led[j].empty()) continue;
+    leaders.push_back(
+        {tree.joints[j].iv, static_cast<int>(j), static_cast<int>(terms.size()), static_cast<int>(led[j].size())});
+    terms.insert(terms.end(), led[j].begin(), led[j].end());
+  }
+  for (const Coupling& c : tree.couplings) {
+    const Joint &first = tree.joints[c.joint], &last = tree.joints[c.joint_end - 1];
+    couplings.push_back({c.first, c.count, c.joint, c.joint_end, first.iv, last.iv + last.nv});
+  }
 }
 
 namespace {

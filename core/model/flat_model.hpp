@@ -15,7 +15,16 @@ struct FlatModel {
   FlatModel& operator=(const FlatModel&) = delete;
 
   std::vector<LaneJoint> joints;  // in the tree's order
-  LaneTree lanes;                 // points at joints
+  // Coupled joints; the terms of followers, then those of leaders.
+  std::vector<LaneFollower> followers;
+  std::vector<LaneLeader> leaders;
+  std::vector<LaneCoupling> couplings;
+  std::vector<LaneTerm> terms;
+  std::vector<int> path;  // the joints and dofs of each follower
+  LaneTree lanes;         // points at all of these
+
+ private:
+  void take_couplings(const Tree& tree);
 };
 
 // Names of the builds of the kernel that this processor can run, best last: "base", "avx2", "avx512".

@@ -88,7 +88,7 @@ void SceneChanges::apply(const VecX& row, Scene& scene) const {
         set_rest(tree, i, value);
         break;
       case SceneNumber::kArmature:
-        tree.armature[i] = value;
+        tree.armature[i] = value + (tree.lent_armature.size() > 0 ? tree.lent_armature[i] : 0.0);
         break;
       case SceneNumber::kDamping:
         tree.damping[i] = value;

@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "base/disjoint_sets.hpp"
+#include "model/coupling.hpp"
 
 namespace contactvi {
 
@@ -56,6 +57,15 @@ void restrict_tree(const Tree& whole, const SubScene& sub, const NewNumbers& now
     tree.dof_parent.push_back(whole.dof_parent[d] < 0 ? -1 : now.v[whole.dof_parent[d]]);
   }
   tree.armature = slice(whole.armature, sub.v);
+  tree.lent_armature = slice(whole.lent_armature, sub.v);
+  std::vector<Follower> followers;
+  for (Follower f : whole.followers) {
+    f.joint = now.of_joint(f.joint);
+    if (f.joint < 0) continue;
+    for (Follower::Leader& leader : f.leaders) leader.joint = now.of_joint(leader.joint);
+    followers.push_back(std::move(f));
+  }
+  set_followers(tree, std::move(followers));
   tree.damping = slice(whole.damping, sub.v);
   tree.rest = slice(whole.rest, sub.q);
   tree.has_damping = whole.has_damping && (tree.damping.array() != 0.0).any();
@@ -167,6 +177,8 @@ StaticTrees::StaticTrees(const Scene& scene) {
   DisjointSets sets(static_cast<int>(tree.joints.size()));
   for (std::size_t j = 0; j < tree.joints.size(); ++j) sets.join(static_cast<int>(j), tree.joints[j].parent);
   for (const Constraint& c : e.constraints) join_constraint(sets, c);
+  for (const Follower& f : tree.followers)
+    for (const Follower::Leader& leader : f.leaders) sets.join(f.joint, leader.joint);
   for (const PathSpring& spring : e.path_springs) {
     int first = -1;
     for (const BodyFrame& point : spring.points) {
@@ -225,6 +237,14 @@ std::unique_ptr<SubScene> restrict_scene(const Scene& whole, const StaticTrees& 
                        inverse(sub->v, whole.tree.nv)};
   restrict_tree(whole.tree, *sub, now, sub->scene.tree);
   restrict_elements(whole.tree.elements, now, *sub, sub->scene.tree.elements);
+  sub->reactions = sub->constraint_rows;
+  for (const Follower& f : sub->scene.tree.followers) {
+    const int joint = sub->joints[f.joint];
+    const auto same = [joint](const Follower& other) { return other.joint == joint; };
+    const auto found = std::find_if(whole.tree.followers.begin(), whole.tree.followers.end(), same);
+    sub->reactions.push_back(whole.tree.elements.constraint_rows +
+                             static_cast<int>(found - whole.tree.followers.begin()));
+  }
   restrict_geometry(whole, trees, chosen, now, *sub);
   for (std::size_t k = 0; k < whole.tree.limits.size(); ++k) {
     JointLimit limit = whole.tree.limits[k];
@@ -248,6 +268,7 @@ std::unique_ptr<SubScene> whole_scene_numbers(const Scene& whole) {
   count(sub->geometries, whole.geometries.size());
   count(sub->guards, whole.guard_count());
   count(sub->constraint_rows, whole.tree.elements.constraint_rows);
+  count(sub->reactions, whole.tree.elements.constraint_rows + whole.tree.followers.size());
   count(sub->friction, whole.tree.elements.friction_dofs.size());
   return sub;
 }

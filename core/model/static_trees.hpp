@@ -41,6 +41,7 @@ class StaticTrees {
 struct SubScene {
   Scene scene;
   std::vector<int> joints, q, v, geometries, guards, constraint_rows, friction;  // friction: of Elements::friction_dofs
+  std::vector<int> reactions;  // constraint rows, and after those of the whole its followers
 };
 
 // trees: sorted.

@@ -14,6 +14,7 @@
 
 #include "base/numerics.hpp"
 #include "model/elements.hpp"
+#include "model/followers.hpp"
 
 namespace contactvi {
 
@@ -69,6 +70,11 @@ struct Tree {
   std::vector<SplitJoint> split;
   std::vector<JointLimit> limits;
   Elements elements;
+  std::vector<Follower> followers;  // joints that are coupled to others, by coupling
+  std::vector<Coupling> couplings;
+  // Part of the armature (nv,), or empty: S^T diag S = 0 of it. It lends links that have no mass of their own what
+  // their leaders have, so that M has an inverse; the motion does not know of it.
+  VecX lent_armature;
   // For each of Pinocchio's joints: the engine joint that moves its body (the last one of a split joint), and the
   // rotation of the public joint frame in that body's frame.
   std::vector<int> body_of_source;

@@ -4,6 +4,7 @@
 #include <condition_variable>
 #include <limits>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "base/parallel.hpp"
@@ -21,10 +22,13 @@ constexpr std::chrono::milliseconds kPollPeriod(50);
 // Appends states to an outcome, with the velocities that belong to their momenta.
 class States {
  public:
-  States(const Tree& tree, BatchOutcome& to) : tree_(tree), to_(to) {}
+  States(const Tree& tree, BatchOutcome& to) : tree_(tree), to_(to) {
+    if (!tree.followers.empty()) equations_.emplace(tree, 1, 1e-12, 1);
+  }
 
   void add(double t, const VecX& q, VecX p) {
-    // By way of public coordinates, as the velocities of single runs are computed: equal bits.
+    // By way of public momenta, as the velocities of single runs are computed: equal bits.
+    if (equations_) equations_->complete_momentum(q, p);
     engine_to_public(tree_, q, p);
     public_to_engine(tree_, q, p);
     to_.t.push_back(t);
@@ -43,6 +47,7 @@ class States {
  private:
   const Tree& tree_;
   BatchOutcome& to_;
+  std::optional<Integrator> equations_;  // where joints are coupled
 };
 
 }  // namespace

@@ -54,7 +54,7 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   s.initial_changes.clear();
   s.actuators.saturated = 0;
   s.actuators.servo.any = false;
-  s.work.start(t, scene_->tree.elements.constraint_rows, does_work_);
+  s.work.start(t, scene_->tree, s.p, does_work_);
   s.dense = from.dense;
   s.impacts = s.rejected = s.dense_steps = 0;
   s.contact_seconds = 0.0;

@@ -11,7 +11,7 @@ namespace {
 template <class Archive>
 void scene_sizes(Archive& a, const Scene& scene) {
   for (const int own : {scene.tree.nq, scene.tree.nv, scene.guard_count(), static_cast<int>(scene.geometries.size()),
-                        scene.tree.elements.constraint_rows}) {
+                        scene.tree.elements.constraint_rows, static_cast<int>(scene.tree.followers.size())}) {
     int size = own;
     number(a, size);
     if (size != own) throw Error("one of another scene");

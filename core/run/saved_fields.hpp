@@ -67,8 +67,8 @@ void fields(Archive& a, ActuatorState& x) {
 
 template <class Archive>
 void fields(Archive& a, WorkTally& x) {
-  auto& [does_work, input, damping, joint_friction, driven, reactions, mean_reactions, node_time] = x;
-  values(a, does_work, input, damping, joint_friction, driven, reactions, mean_reactions, node_time);
+  auto& [does_work, input, damping, joint_friction, driven, reactions, mean_reactions, node_time, pending] = x;
+  values(a, does_work, input, damping, joint_friction, driven, reactions, mean_reactions, node_time, pending);
 }
 
 template <class Archive>

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "impact/impact_maps.hpp"
+#include "model/coupling.hpp"
 #include "run/state_range.hpp"
 
 namespace contactvi {
@@ -72,7 +73,7 @@ void Simulator::join(SideBySide& company) {
 
 bool Simulator::scene_does_work() const {
   const Elements& e = scene_->tree.elements;
-  return dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
+  return dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0 || !scene_->tree.followers.empty();
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
@@ -92,7 +93,9 @@ void Simulator::close_contacts_at_start() {
 }
 
 Status Simulator::start(const VecX& q, const VecX& v, double t) {
-  const VecX q0 = q, v0 = v;  // the arguments may be those of the state
+  VecX q0 = q, v0 = v;  // the arguments may be those of the state
+  follow_configuration(scene_->tree, q0);
+  follow_velocity(scene_->tree, v0);
   ActuatorState actuators = state_.actuators;
   state_ = RunState();
   state_.actuators = std::move(actuators);  // the references of servos stay
@@ -103,7 +106,6 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   state_.reference.kind = options_.mhc_reference;
   state_.adaptive_dt = options_.dt;
   state_.control.start(options_.dt, contact_dt());
-  state_.work.start(t, scene_->tree.elements.constraint_rows, does_work_);
   scene_->tree.elements.forget_failure();
   actuation_.start();
   integrator_.set_time(t);
@@ -126,6 +128,7 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
     return state_.status;
   }
   integrator_.dynamics(q0, v0, state_.p, p1_);
+  state_.work.start(t, scene_->tree, state_.p, does_work_);
   if (!in_range(q0, state_.p)) {
     end(StatusCode::kNotFinite, t, "the momentum of the start state overflows");
     return state_.status;
@@ -157,7 +160,7 @@ void Simulator::record_node(double t, const double* q, const double* p, Recordin
   recording.t.push_back(t);
   recording.q.insert(recording.q.end(), q, q + state_.q.size());
   recording.p.insert(recording.p.end(), p, p + state_.p.size());
-  state_.work.record_node(t, recording);
+  state_.work.record_node(t, scene_->tree, recording);
 }
 
 void Simulator::record_phase(double time, double dt, StepKind kind, Recording& recording) const {

@@ -127,7 +127,7 @@ long World::pass_undisturbed_intervals(long left, long record_every, Recording& 
   const double first = time(state_.step);
   long until_node = record_every - state_.step % record_every;
   for (int k = 0; k < count; ++k) {
-    for (Island* island : islands_) state_.work.add(island->engine().foreseen_work(k));
+    for (Island* island : islands_) state_.work.add(island->engine().foreseen_work(k), island->numbers().reactions);
     ++state_.step;
     state_.time = time(state_.step);
     const bool node = --until_node == 0;

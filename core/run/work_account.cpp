@@ -2,10 +2,22 @@
 
 namespace contactvi {
 
-void WorkAccount::start(double t, int constraint_rows, bool does_work) {
+namespace {
+
+// What the momentum of each follower has, from which that of its leaders is without.
+VecX of_followers(const Tree& tree, const double* p) {
+  VecX found(static_cast<Eigen::Index>(tree.followers.size()));
+  for (std::size_t k = 0; k < tree.followers.size(); ++k) found[static_cast<Eigen::Index>(k)] = p[tree.followers[k].iv];
+  return found;
+}
+
+}  // namespace
+
+void WorkAccount::start(double t, const Tree& tree, const VecX& p, bool does_work) {
   tally_ = WorkTally();
   tally_.does_work = does_work;
-  tally_.reactions.setZero(constraint_rows);
+  tally_.reactions.setZero(tree.elements.constraint_rows + static_cast<Eigen::Index>(tree.followers.size()));
+  tally_.pending = of_followers(tree, p.data());
   tally_.mean_reactions = tally_.reactions;
   tally_.node_time = t;
 }
@@ -14,14 +26,23 @@ WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) {
   if (!tally_.does_work) return {};
   const StageConstraints* constraints = integrator.constraints();
   if (constraints) seen_ = constraints->impulses();
-  return {integrator.input_work(), integrator.damping_loss(), constraints ? constraints->work() : 0.0};
+  return {integrator.input_work(), integrator.damping_loss(), constraints ? constraints->work() : 0.0,
+          integrator.coupled_impulses()};
 }
 
 void WorkAccount::add(const FreeWork& work) {
   tally_.input += work.input;
   tally_.damping += work.damping;
   tally_.driven += work.driven;
-  if (seen_.size() > 0) tally_.reactions += seen_;
+  if (seen_.size() > 0) tally_.reactions.head(seen_.size()) += seen_;
+  tally_.reactions.tail(work.coupled.size()) += work.coupled;
+}
+
+void WorkAccount::add(const FreeWork& work, const std::vector<int>& rows) {
+  tally_.input += work.input;
+  tally_.damping += work.damping;
+  const std::size_t first = rows.size() - work.coupled.size();  // constraints come first
+  for (Eigen::Index k = 0; k < work.coupled.size(); ++k) tally_.reactions[rows[first + k]] += work.coupled[k];
 }
 
 void WorkAccount::add(const ContactStep& step) {
@@ -29,7 +50,9 @@ void WorkAccount::add(const ContactStep& step) {
   tally_.damping += step.damping_loss();
   tally_.joint_friction += step.joint_friction_loss();
   tally_.driven += step.driven_work();
-  if (step.constrained()) tally_.reactions += step.constraint_impulses();
+  if (step.constrained()) add_reactions(step.constraint_impulses());
+  const VecX coupled = step.integrator().coupled_impulses();
+  tally_.reactions.tail(coupled.size()) += coupled;
 }
 
 void WorkAccount::add(const DenseStep& step) {
@@ -37,13 +60,17 @@ void WorkAccount::add(const DenseStep& step) {
   tally_.damping += step.integrator().damping_loss();
   tally_.joint_friction += step.joint_friction_loss();
   tally_.driven += step.driven_work();
-  tally_.reactions += step.constraint_impulses();
+  add_reactions(step.constraint_impulses());
+  const VecX coupled = step.integrator().coupled_impulses();
+  tally_.reactions.tail(coupled.size()) += coupled;
 }
 
 void WorkAccount::add(const ImpactSequence& impacts) {
-  tally_.reactions += impacts.constraint_impulses();
+  add_reactions(impacts.constraint_impulses());
   tally_.driven += impacts.driven_work();
 }
+
+void WorkAccount::add_reactions(const VecX& impulses) { tally_.reactions.head(impulses.size()) += impulses; }
 
 void WorkAccount::clear() {
   tally_.input = tally_.damping = tally_.joint_friction = tally_.driven = 0.0;
@@ -61,11 +88,16 @@ void WorkAccount::take(WorkAccount& part, const std::vector<int>& rows) {
   part.clear();
 }
 
-void WorkAccount::record_node(double t, Recording& recording) {
+void WorkAccount::record_node(double t, const Tree& tree, Recording& recording) {
   if (!tally_.does_work) return;
   recording.work.resize(4 * (recording.t.size() - 1), 0.0);  // nodes from before the first input have none
   recording.work.insert(recording.work.end(), {tally_.input, tally_.damping, tally_.joint_friction, tally_.driven});
   if (t > tally_.node_time) {
+    if (!tree.followers.empty()) {
+      const VecX now = of_followers(tree, recording.p.data() + recording.p.size() - tree.nv);
+      tally_.reactions.tail(now.size()) += now - tally_.pending;
+      tally_.pending = now;
+    }
     tally_.mean_reactions = tally_.reactions / (t - tally_.node_time);
     tally_.reactions.setZero();
     tally_.node_time = t;

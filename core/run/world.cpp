@@ -318,7 +318,7 @@ void World::accept(double t, double length, Recording& recording) {
   for (Island* island : islands_) {
     island->gather(q1_, p1_);
     RunState& part = island->engine().state();
-    state_.work.take(part.work, island->numbers().constraint_rows);
+    state_.work.take(part.work, island->numbers().reactions);
     state_.impacts += part.impacts;
     state_.dense_steps += static_cast<long>(island->recording().dense.size());
     state_.control.halved += part.control.halved;
@@ -336,7 +336,7 @@ void World::record_node(Recording& recording) {
   recording.t.push_back(state_.time);
   recording.q.insert(recording.q.end(), state_.q.data(), state_.q.data() + state_.q.size());
   recording.p.insert(recording.p.end(), state_.p.data(), state_.p.data() + state_.p.size());
-  state_.work.record_node(state_.time, recording);
+  state_.work.record_node(state_.time, scene_->tree, recording);
 }
 
 // Asks the caller about ten times a second whether to go on.

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "model/coupling.hpp"
 #include "sensitivity/dense_step_tangent.hpp"
 
 namespace contactvi {
@@ -289,7 +290,8 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   if (has_friction_) {
     VecX change, dslip;
     matrix_change(round, d, dq0, r.v - from_v, change);
-    const VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
+    VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
+    project_rows(scene_->tree, force);
     const VecX dv = from_change.v + D_.solve(force);
     base = dW0_.transpose() * r.v + s.W0.transpose() * dv;
     base += extra_gaps(about) / s.h;

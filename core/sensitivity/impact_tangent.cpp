@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "model/coupling.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
@@ -49,7 +50,8 @@ void ImpactTangent::take(const RecordedImpact& impact, const VecX& p_plus, const
   margin_ = 1.0;
   if (rows_ > 1) take_poisson(impact);
   // What several contacts did one after the other, or with rigid supports, is not what these did.
-  const VecX off = impact.p_minus + W_ * lambda_ - p_plus;
+  VecX off = impact.p_minus + W_ * lambda_ - p_plus;
+  fold_momentum(scene_->tree, off);
   if (off.cwiseAbs().maxCoeff() > kSameImpulse * (impact.p_minus.cwiseAbs().maxCoeff() + off.cwiseAbs().maxCoeff()))
     refuse("simultaneous", impact.guard, "Several contacts share one impact", "impulses that follow from their law",
            "other impulses", "Start elsewhere; give the persistent contacts some restitution");

@@ -24,10 +24,11 @@ class ColumnSolver {
   const FlatModel* model_;
   const LaneKernel *few_, *many_;
   AlignedArray X_, work_;
-  std::vector<int> root_;     // of each joint
-  std::vector<char> moving_;  // per joint: whether it is the root of a tree on which a right side acts
-  std::vector<int> joints_;   // of these trees,
-  std::vector<int> dofs_;     // and their dofs
+  std::vector<int> root_;       // of each joint
+  std::vector<char> moving_;    // per joint: whether it is the root of a tree on which a right side acts
+  std::vector<int> joints_;     // of these trees,
+  std::vector<int> dofs_;       // and their dofs,
+  std::vector<int> couplings_;  // and the couplings of joints in them
 };
 
 }  // namespace contactvi

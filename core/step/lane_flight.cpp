@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "model/coupling.hpp"
 #include "step/ball_step.hpp"
 
 namespace contactvi {
@@ -43,7 +44,8 @@ LaneFlight::LaneFlight(const Tree& tree, const FlatModel& model, StageLanes& lan
       judge_(width_, StageIteration(0.0, 0)),
       flies_(width_),
       pending_(width_),
-      iterations_(width_) {
+      iterations_(width_),
+      followers_(tree.followers) {
   find_dofs(tree, model);
 }
 
@@ -230,6 +232,29 @@ void LaneFlight::finish(int step) {
                at(step, StepsAhead::kP) + v, at(step, StepsAhead::kCarryP) + v);
     kernel.add(dofs.count, weight(kBefore), work_.v + v, q_.data() + q, carry_q_.data() + q,
                at(step, StepsAhead::kQ) + q, at(step, StepsAhead::kCarryQ) + q);
+  }
+  finish_followers(step);
+}
+
+// fold_momentum and follow_configuration, lane by lane.
+void LaneFlight::finish_followers(int step) {
+  const auto each = [&](double* array, int number, auto&& change) {
+    for (int lane = 0; lane < width_; ++lane) change(array[number * width_ + lane], array + lane);
+  };
+  for (const Follower& f : followers_) {
+    for (double* p : {lanes_->p0_, at(step, StepsAhead::kP), carry_p_.data(), at(step, StepsAhead::kCarryP)})
+      each(p, f.iv, [&](double& own, double* all) {
+        for (const Follower::Leader& leader : f.leaders) all[leader.iv * width_] += leader.ratio * own;
+        own = 0.0;
+      });
+    for (double* q : {q_.data(), at(step, StepsAhead::kQ)})
+      each(q, f.iq, [&](double& own, double* all) {
+        double value = f.offset;
+        for (const Follower::Leader& leader : f.leaders) value += leader.ratio * all[leader.iq * width_];
+        own = value;
+      });
+    for (double* carry : {carry_q_.data(), at(step, StepsAhead::kCarryQ)})
+      each(carry, f.iq, [](double& own, double*) { own = 0.0; });
   }
 }
 

@@ -39,6 +39,7 @@ class LaneFlight {
   void stop_far_turns(int step);
   void finish(int step);
   void finish_balls(int step);
+  void finish_followers(int step);
   void set_base();
   void leave(const std::vector<Integrator*>& runs, int step);
   double* at(int step, StepsAhead::Part part) {
@@ -72,6 +73,7 @@ class LaneFlight {
   std::vector<int> done_;              // lanes whose step was done in the last iteration
   std::vector<int> early_lanes_;       // lanes that were done in an earlier one
   std::vector<int> iterations_;        // by lane, of this step
+  std::vector<Follower> followers_;    // of the tree
 };
 
 }  // namespace contactvi

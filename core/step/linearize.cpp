@@ -61,7 +61,8 @@ const LinearStep& StepLinearizer::solve(const VecX& q0, const VecX& x0, StateKin
   const bool velocity = kind == StateKind::kVelocity;
   std::unique_ptr<StepMap>& map = maps_[velocity ? 0 : 1];
   if (!map) map = std::make_unique<StepMap>(*tree_, stages_, velocity);
-  if (map->take(step_->solution())) {
+  // Of coupled joints the public momentum is another one than the step's.
+  if ((velocity || tree_->followers.empty()) && map->take(step_->solution())) {
     to_public(*tree_, *step_, map->matrix(), result_);
   } else {
     solve_columns();

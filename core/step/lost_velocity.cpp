@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "model/coordinates.hpp"
+#include "model/coupling.hpp"
 
 namespace contactvi {
 
@@ -11,6 +12,7 @@ LostVelocity lost_velocity(StepEquations& equations, const VecX& q) {
   const Tree& tree = equations.tree();
   VecX w(tree.nv), p(tree.nv), G(tree.nv), back(tree.nv);
   for (int d = 0; d < tree.nv; ++d) w[d] = std::sin(1.0 + d);
+  follow_velocity(tree, w);
   VecX v = w;
   public_to_engine(tree, q, v);
   equations.dynamics(q, v, p, G);

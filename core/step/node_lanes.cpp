@@ -1,4 +1,5 @@
 #include "step/node_lanes.hpp"
+#include "model/coupling.hpp"
 
 #include <algorithm>
 #include <limits>
@@ -10,12 +11,14 @@ void put_node(const VecCRef& q, const VecCRef& p, Stages& node) {
   for (Eigen::Index d = 0; d < p.size(); ++d) node.dv()[d] = p[d];
 }
 
-bool get_velocity(const Stages& node, const VecCRef& p, VecRef v) {
+bool get_velocity(const Stages& node, const VecCRef& momentum, VecRef v) {
+  VecX p = momentum;
+  fold_momentum(node.tree(), p);  // as StepEquations::node_velocity
   double energy = 0.0;
   for (Eigen::Index d = 0; d < p.size(); ++d) {
     const double speed = node.dv()[d];
     energy += speed * p[d];
-    v[d] = speed;  // which may stand in the place of p
+    v[d] = speed;  // which may stand in the place of the momentum
   }
   return energy >= 0.0;  // false for NaN
 }

@@ -5,13 +5,28 @@
 namespace contactvi {
 
 NodeMap::NodeMap(const Tree& tree)
-    : model_(tree), pattern_(tree), local_(tree, model_, pattern_, 1), mass_(pattern_, 1), panel_(0) {}
+    : tree_(&tree), model_(tree), pattern_(tree), local_(tree, model_, pattern_, 1), mass_(pattern_, 1), panel_(0) {}
 
 bool NodeMap::take(const VecX& q, const VecX& v) {
   local_.evaluate_at(q, v);
   std::copy(local_.M.low.begin(), local_.M.low.end(), mass_.low(0));
   std::copy(local_.M.up.begin(), local_.M.up.end(), mass_.up(0));
+  fold_masses();
   return mass_.factor() && mass_.cancellation() <= kMostCancellation;
+}
+
+// S^T M S in the rows and columns of the leaders, and 1 in those of the followers.
+void NodeMap::fold_masses() {
+  const auto mass = [&](int row, int column) -> double& { return *mass_.at(pattern_.pair(row, column)); };
+  const int n = tree_->nv;
+  for (const Follower& f : tree_->followers) {
+    for (const Follower::Leader& leader : f.leaders) {
+      for (int c = 0; c < n; ++c) mass(leader.iv, c) += leader.ratio * mass(f.iv, c);
+      for (int r = 0; r < n; ++r) mass(r, leader.iv) += leader.ratio * mass(r, f.iv);
+    }
+    for (int d = 0; d < n; ++d) mass(f.iv, d) = mass(d, f.iv) = 0.0;
+    mass(f.iv, f.iv) = 1.0;
+  }
 }
 
 void NodeMap::to_velocities(const MatX& dq, MatX& dp) {
@@ -34,7 +49,15 @@ void NodeMap::to_velocities(const MatX& dq, MatX& dp) {
         if (a != d) take(a, d, *local_.B.column(entry));
       }
     }
+    for (const Follower& f : tree_->followers)
+      for (int k = 0; k < width; ++k) {
+        for (const Follower::Leader& leader : f.leaders) row(leader.iv)[k] += leader.ratio * row(f.iv)[k];
+        row(f.iv)[k] = 0.0;
+      }
     mass_.solve(component, panel_.data(), width);
+    for (const Follower& f : tree_->followers)
+      for (int k = 0; k < width; ++k)
+        for (const Follower::Leader& leader : f.leaders) row(f.iv)[k] += leader.ratio * row(leader.iv)[k];
     for (const int d : dofs)
       for (int k = 0; k < count; ++k) dp(d, k) = row(d)[k];
   }

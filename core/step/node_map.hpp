@@ -17,6 +17,9 @@ class NodeMap {
   void to_velocities(const MatX& dq, MatX& dp);
 
  private:
+  void fold_masses();
+
+  const Tree* tree_;
   FlatModel model_;
   DofPattern pattern_;
   LocalTangent local_;

@@ -6,8 +6,23 @@
 namespace contactvi {
 
 StageLanes::StageLanes(const FlatModel& model)
-    : joints_(model.joints), tree_(model.lanes), kernel_(&run_kernel()), work_{}, memory_(0), steps_(kernel_->lanes) {
+    : joints_(model.joints),
+      followers_(model.followers),
+      leaders_(model.leaders),
+      couplings_(model.couplings),
+      terms_(model.terms),
+      path_(model.path),
+      tree_(model.lanes),
+      kernel_(&run_kernel()),
+      work_{},
+      memory_(0),
+      steps_(kernel_->lanes) {
   tree_.joint = joints_.data();
+  tree_.follower = followers_.data();
+  tree_.leader = leaders_.data();
+  tree_.coupling = couplings_.data();
+  tree_.term = terms_.data();
+  tree_.path = path_.data();
   const std::size_t S = kernel_->lanes, n = tree_.nv * S, balls = tree_.balls > 0 ? n : 0;
   const std::pair<double**, std::size_t> arrays[] = {{&X_, n},
                                                      {&v_, n},
@@ -29,7 +44,8 @@ StageLanes::StageLanes(const FlatModel& model)
                                                      {&per_stage_, 3 * S},
                                                      {&tableau_, 5 * S},
                                                      {&work_.storage, tree_.storage * S},
-                                                     {&work_.slots, 36 * std::max(1, tree_.slots) * S}};
+                                                     {&work_.slots, 36 * std::max(1, tree_.slots) * S},
+                                                     {&work_.coupled, 2 * coupled_rows(tree_) * S}};
   std::size_t total = 0;
   for (const auto& array : arrays) total += (array.second + 7) / 8 * 8;
   memory_ = AlignedArray(total);
@@ -66,9 +82,19 @@ StageLanes::StageLanes(const FlatModel& model)
   work_.context = this;
 }
 
+namespace {
+
+// Whether a list has the same bytes as another one.
+template <class T>
+bool same(const std::vector<T>& a, const std::vector<T>& b) {
+  return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0);
+}
+
+}  // namespace
+
 bool StageLanes::fits(const FlatModel& model) const {
-  return model.joints.size() == joints_.size() && model.lanes.nv == tree_.nv &&
-         std::memcmp(model.joints.data(), joints_.data(), joints_.size() * sizeof(LaneJoint)) == 0;
+  return model.lanes.nv == tree_.nv && same(model.joints, joints_) && same(model.followers, followers_) &&
+         same(model.couplings, couplings_) && same(model.terms, terms_);
 }
 
 int StageLanes::kind(const Stages& step) {

@@ -46,6 +46,11 @@ class StageLanes {
   void spread(double* Stages::* from, double* to, int count) const;
 
   std::vector<LaneJoint> joints_;
+  std::vector<LaneFollower> followers_;
+  std::vector<LaneLeader> leaders_;
+  std::vector<LaneCoupling> couplings_;
+  std::vector<LaneTerm> terms_;
+  std::vector<int> path_;
   LaneTree tree_;
   const RunKernel* kernel_;
   LaneWork work_;

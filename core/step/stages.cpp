@@ -93,6 +93,7 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages, int directi
   work_.diagonal = diagonal_;
   work_.storage = storage_;
   work_.slots = slots_;
+  work_.coupled = coupled_;
   work_.error = per_stage_;
   work_.kinetic = per_stage_ + work_.S;
   work_.impulse_energy = per_stage_ + 2 * work_.S;
@@ -117,6 +118,7 @@ void Stages::allocate(int directions) {
                                                      {&applied_, tree_->split.empty() ? 0 : size},
                                                      {&storage_, parts * model_->lanes.storage * S},
                                                      {&slots_, parts * 36 * slots * kernel_->lanes},
+                                                     {&coupled_, 2 * coupled_rows(model_->lanes) * S},
                                                      {&per_stage_, 3 * S},
                                                      {&hA_, s * S},
                                                      {&he_, 2 * S},

@@ -35,6 +35,7 @@ class Stages {
   int padded() const { return work_.S; }
   const GaussTable& table() const { return *table_; }
   const LaneKernel& kernel() const { return *kernel_; }
+  const Tree& tree() const { return *tree_; }
 
   // The step from (q0, p0) of length h; tau: generalized force in public coordinates, shape (nv,) or empty.
   void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
@@ -81,6 +82,7 @@ class Stages {
   double* dv() { return dv_; }
   const double* dv() const { return dv_; }
   const double* storage() const { return storage_; }     // the factors among it
+  const double* coupled() const { return coupled_; }     // and those of coupled joints
   const double* residual() const { return magnitude_; }  // that dv was solved from, after an iteration
   const double* v() const { return v_; }
   const double* X() const { return X_; }
@@ -135,7 +137,7 @@ class Stages {
   LaneWork work_;
   AlignedArray memory_;  // all arrays below
   AlignedArray impulse_{0};
-  double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_;
+  double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_, *coupled_;
   double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;
   ForceField field_;
   const Servo* servo_ = nullptr;

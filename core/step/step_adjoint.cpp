@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "model/coupling.hpp"
 #include "step/rounding_stop.hpp"
 
 namespace contactvi {
@@ -67,11 +68,13 @@ void StepAdjoint::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& lp
     lv[d] = node_.P_[d * S + to_shadow];
     lq[d] = node_.G_[d * S + to_shadow];
   }
+  if (tree_->lent_armature.size() > 0) lv -= tree_->lent_armature.cwiseProduct(lp);
 }
 
 void StepAdjoint::set_seed(const VecCRef& lq, const VecCRef& lp) {
   lq_ = lq;
   lp_ = lp;
+  follow_velocity(*tree_, lp_);  // of a momentum only S^T p has a meaning
   mu_.fill(0.0);
 }
 
@@ -165,8 +168,16 @@ bool StepAdjoint::solve_by_matrix() {
   const auto residual = [&] {
     sweep();
     VecX r(size);
-    for (int i = 0; i < s; ++i)
+    for (int i = 0; i < s; ++i) {
       for (int d = 0; d < n; ++d) r[i * n + d] = v_bar_[d * S + i];
+      // Of coupled joints S^T r, and multipliers that follow as velocities do.
+      if (tree_->followers.empty()) continue;
+      fold_momentum(*tree_, r.segment(i * n, n));
+      for (const Follower& f : tree_->followers) {
+        r[i * n + f.iv] = mu_[f.iv * S + i];
+        for (const Follower::Leader& leader : f.leaders) r[i * n + f.iv] -= leader.ratio * mu_[leader.iv * S + i];
+      }
+    }
     return r;
   };
   const VecX lq = lq_, lp = lp_;

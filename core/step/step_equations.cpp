@@ -4,11 +4,22 @@
 #include <algorithm>
 #include <cmath>
 
+#include "model/coupling.hpp"
 #include "step/ball_step.hpp"
 
 namespace contactvi {
 
 namespace {
+
+// The velocity that a node was solved for. False if the mass matrix is not positive.
+bool get_velocity(const Stages& node, const VecCRef& p, VecRef v) {
+  double energy = 0.0;
+  for (Eigen::Index d = 0; d < p.size(); ++d) {
+    v[d] = node.dv()[d];
+    energy += v[d] * p[d];
+  }
+  return energy >= 0.0;  // false for NaN
+}
 
 // Whether every joint has as many numbers in q as in v: none is a quaternion or (cos, sin), and sums make its end.
 bool is_plain(const Tree& tree) { return tree.nq == tree.nv; }
@@ -98,7 +109,18 @@ void StepEquations::count_iteration(int flags) {
   counters.factorizations += (flags & kLaneFactor) != 0;
 }
 
+// Followers end where their leaders put them, and what has acted on them has acted on their leaders.
 void StepEquations::finish(VecRef q1, VecRef p1) {
+  finish_all(q1, p1);
+  if (tree_->followers.empty()) return;
+  fold_momentum(*tree_, p1);
+  fold_momentum(*tree_, next_carry_p_);
+  follow_configuration(*tree_, q1);
+  for (const Follower& f : tree_->followers) next_carry_q_[f.iq] = 0.0;
+}
+
+// As if no joints were coupled.
+void StepEquations::finish_all(VecRef q1, VecRef p1) {
   if (model_.lanes.balls > 0) stages_.rates();
   const double carried = part_ ? 0.0 : 1.0;  // the digits carried are those of the next whole step
   add_impulses(stages_, *momentum_, carry_p_, carried, p1.data(), next_carry_p_.data());
@@ -205,6 +227,15 @@ double StepEquations::mean_work() const {
   return total;
 }
 
+VecX StepEquations::coupled_impulses() const {
+  VecX found(static_cast<Eigen::Index>(tree_->followers.size()));
+  for (Eigen::Index k = 0; k < found.size(); ++k) {
+    const int dof = tree_->followers[k].iv;
+    found[k] = p0_[dof] + quadrature([&](int i) { return stages_.G()[dof * stages_.padded() + i]; });
+  }
+  return found;
+}
+
 double StepEquations::discrete_energy() {
   const int S = stages_.padded();
   double total = 0.0;
@@ -226,13 +257,15 @@ bool StepEquations::node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) 
   node_.place();
   node_.factor();
   for (int d = 0; d < tree_->nv; ++d) node_.dv()[d] = p[d];
-  node_.solve();
-  double energy = 0.0;
-  for (int d = 0; d < tree_->nv; ++d) {
-    v[d] = node_.dv()[d];
-    energy += v[d] * p[d];
+  if (tree_->followers.empty()) {
+    node_.solve();
+    return get_velocity(node_, p, v);
   }
-  return energy >= 0.0;  // false for NaN
+  // Not with what acts between coupled joints, whose rounding may be more than the energy.
+  folded_ = p;
+  fold_momentum(*tree_, folded_);
+  node_.solve();
+  return get_velocity(node_, folded_, v);
 }
 
 void StepEquations::place_node(const VecCRef& q) {
@@ -255,6 +288,15 @@ void StepEquations::dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRe
     P[d] = node_.P()[d];
     G[d] = node_.G()[d];
   }
+  if (tree_->lent_armature.size() > 0) P -= tree_->lent_armature.cwiseProduct(v);
+}
+
+bool StepEquations::complete_momentum(const VecCRef& q, VecRef p) {
+  if (tree_->followers.empty()) return true;
+  VecX v(tree_->nv), G(tree_->nv);
+  if (!node_velocity(q, p, v)) return false;
+  dynamics(q, v, p, G);
+  return true;
 }
 
 }  // namespace contactvi

@@ -58,6 +58,8 @@ class StepEquations {
   double damping_loss() const;
   double work() const { return input_work() - damping_loss(); }
   double mean_work() const;
+  // Of the step just solved: what acts on each follower in it, its momentum at the start included [N s; N m s].
+  VecX coupled_impulses() const;
   double discrete_energy();
 
   // v = M(q)^-1 p; the factor stays for solve_mass. False if M is not positive.
@@ -70,6 +72,9 @@ class StepEquations {
   void solve_masses(Eigen::Ref<MatX> X) { columns_.solve(node_, X); }
   // P = M v and G = dT/dq - dV/dq of gravity, shapes (nv,).
   void dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G);
+  // Where joints are coupled only S^T p of a momentum has a meaning for steps: p becomes M v, with the same S^T p.
+  // False if M is not positive.
+  bool complete_momentum(const VecCRef& q, VecRef p);
 
   StepCounters counters;
 
@@ -100,12 +105,13 @@ class StepEquations {
   VecX carry_q_, carry_p_, next_carry_q_, next_carry_p_;
 
  private:
+  void finish_all(VecRef q1, VecRef p1);
   double highest_mode(const double* v) const;
   template <class Value>
   double quadrature(Value value) const;
 
   Placements placements_;
-  VecX q_stage_;
+  VecX q_stage_, folded_;
   MatX rates_, velocities_;
 };
 

@@ -153,6 +153,61 @@ void StepMap::assemble() {
       set_output(row, pair);
     });
   for (const Ball& ball : balls_) add_balance(ball);
+  fold_blocks(blocks_);
+}
+
+// The blocks of the pattern, which is one chain, become those of the leaders.
+void StepMap::fold_blocks(TreeBlocks& blocks) {
+  const int n = tree_->nv, area = blocks.size() * blocks.stride();
+  const auto block = [&](int row, int column) { return blocks.at(pattern_.pair(row, column)); };
+  for (const Follower& f : tree_->followers) {
+    for (const Follower::Leader& leader : f.leaders) {
+      for (int c = 0; c < n; ++c)
+        for (int k = 0; k < area; ++k) block(leader.iv, c)[k] += leader.ratio * block(f.iv, c)[k];
+      for (int r = 0; r < n; ++r)
+        for (int k = 0; k < area; ++k) block(r, leader.iv)[k] += leader.ratio * block(r, f.iv)[k];
+    }
+    for (int d = 0; d < n; ++d) {
+      std::fill_n(block(f.iv, d), area, 0.0);
+      std::fill_n(block(d, f.iv), area, 0.0);
+    }
+    for (int i = 0; i < blocks.size(); ++i) block(f.iv, f.iv)[i * blocks.stride() + i] = 1.0;
+  }
+}
+
+// S^T of the right sides in a panel of so many rows per dof.
+void StepMap::fold_rows(double* panel, int rows_per_dof) const {
+  const auto row = [&](int dof) {
+    return panel + static_cast<std::size_t>(pattern_.place(dof)) * rows_per_dof * width_;
+  };
+  for (const Follower& f : tree_->followers) {
+    for (const Follower::Leader& leader : f.leaders)
+      for (int i = 0; i < rows_per_dof * width_; ++i) row(leader.iv)[i] += leader.ratio * row(f.iv)[i];
+    std::fill_n(row(f.iv), rows_per_dof * width_, 0.0);
+  }
+}
+
+// The rows of followers from those of their leaders.
+void StepMap::follow_rows(double* panel, int rows_per_dof) const {
+  const auto row = [&](int dof) {
+    return panel + static_cast<std::size_t>(pattern_.place(dof)) * rows_per_dof * width_;
+  };
+  for (const Follower& f : tree_->followers) {
+    std::fill_n(row(f.iv), rows_per_dof * width_, 0.0);
+    for (const Follower::Leader& leader : f.leaders)
+      for (int i = 0; i < rows_per_dof * width_; ++i) row(f.iv)[i] += leader.ratio * row(leader.iv)[i];
+  }
+}
+
+// What a follower's own numbers at the start change by counts for nothing: they move with their leaders.
+void StepMap::fold_columns() {
+  const int n = tree_->nv;
+  for (const Follower& f : tree_->followers)
+    for (int kind = 0; kind < (in_velocities_ ? 2 : 1); ++kind) {
+      for (const Follower::Leader& leader : f.leaders)
+        matrix_.col(kind * n + leader.iv) += leader.ratio * matrix_.col(kind * n + f.iv);
+      matrix_.col(kind * n + f.iv).setZero();
+    }
 }
 
 // The mass matrix at the end; without velocities that of a stage, as it tells soon what elimination would lose.
@@ -160,6 +215,7 @@ bool StepMap::factor_mass() {
   const int point = in_velocities_ ? stages_.end() : 0;
   for (int c = 0; c < components(); ++c)
     each_pair(c, [&](int, int, DofPattern::Pair pair) { *mass_.at(pair) = stages_.M.at(pair)[point]; });
+  fold_blocks(mass_);
   return mass_.factor() && mass_.cancellation() <= kMostCancellation;
 }
 
@@ -237,7 +293,9 @@ void StepMap::to_velocities(int component) {
     const double* B = stages_.B.at(pair) + stages_.end();
     kernel_->subtract_product(1, 1, width_, B, 1, turn_row(column), total_row(row), false);
   });
+  fold_rows(total_.data(), 1);
   mass_.solve(component, total_.data(), width_);
+  follow_rows(total_.data(), 1);
 }
 
 void StepMap::store(int component) {
@@ -264,11 +322,15 @@ bool StepMap::take(const StepSolution& step) {
   if (!blocks_.factor() || blocks_.cancellation() > kMostCancellation) return false;
   for (int c = 0; c < components(); ++c) {
     make_right_sides(c, step);
+    fold_rows(right_.data(), blocks_.size());
     if (!solve(c)) return false;
+    follow_rows(solution_.data(), blocks_.size());
     make_ends(c);
+    if (!in_velocities_) fold_rows(total_.data(), 1);
     if (in_velocities_) to_velocities(c);
     store(c);
   }
+  fold_columns();
   return matrix_.allFinite();
 }
 

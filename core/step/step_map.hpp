@@ -4,7 +4,9 @@
 // Unknown are the changes du of the chart rates at the stages. With w_ij = h a_ij, and h (a_ij - b_j) on spherical
 // joints, which keep their momentum balance beside it, the equations of a stage are
 //   dP_x,i - sum_j w_ij dG_x,j = dp_0 [balls: d(J_r(X_1) (p_0 + h sum_j b_j Y_j))],  dX_i = h sum_j a_ij du_j,
-// and the columns of a component of the tree (DofPattern) have only rows of that component.
+// and the columns of a component of the tree (DofPattern) have only rows of that component. Where joints are coupled
+// (model/followers.hpp), du = S dy: the matrix of the leaders' equations, S^T times these times S, stands in the rows
+// and columns of the leaders, and 1 in those of the followers.
 //
 // Engine coordinates: tangent vectors are body-fixed on spherical joints. The generalized force is in public ones.
 #pragma once
@@ -52,6 +54,10 @@ class StepMap {
   void set_output(int row, DofPattern::Pair pair);
   void add_balance(const Ball& ball);
   void assemble();
+  void fold_blocks(TreeBlocks& blocks);
+  void fold_rows(double* panel, int rows_per_dof) const;
+  void follow_rows(double* panel, int rows_per_dof) const;
+  void fold_columns();
   bool factor_mass();
   void add_start(int row, int column, double change);
   void add_stages(int row, int column, const double* momentum, const double* force, const double* of_total);

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "model/coordinates.hpp"
+#include "model/coupling.hpp"
 #include "step/rounding_stop.hpp"
 
 namespace contactvi {
@@ -55,6 +56,7 @@ void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq
     }
   node_.kernel().evaluate_tangent(&step_.model().lanes, &node_.work_);
   for (int d = 0; d < tree_->nv; ++d) dp[d] = node_.P_[d * S + node_.work_.shadow];
+  if (tree_->lent_armature.size() > 0) dp -= tree_->lent_armature.cwiseProduct(dv);
 }
 
 void StepTangent::velocity_change(int stage, VecRef dv) const {
@@ -139,8 +141,17 @@ void StepTangent::evaluate() { stages_.kernel().tangent(&step_.model().lanes, &s
 void StepTangent::residual(VecRef r) const {
   const int S = stages_.padded(), n = tree_->nv;
   const double* dr = shadow(stages_.dv_);
-  for (int i = 0; i < stages_.count(); ++i)
+  for (int i = 0; i < stages_.count(); ++i) {
     for (int d = 0; d < n; ++d) r[i * n + d] = dr[d * S + i];
+    // Of coupled joints S^T r, and that the followers follow.
+    if (tree_->followers.empty()) continue;
+    fold_momentum(*tree_, r.segment(i * n, n));
+    for (const Follower& f : tree_->followers) {
+      double off = shadow(stages_.v_)[f.iv * S + i];
+      for (const Follower::Leader& leader : f.leaders) off -= leader.ratio * shadow(stages_.v_)[leader.iv * S + i];
+      r[i * n + f.iv] = off;
+    }
+  }
 }
 
 // False where the iterations do not contract.
@@ -275,6 +286,7 @@ void StepTangent::finish(const StepDirection& direction, VecRef dq1, VecRef dp1)
     dq1.segment<3>(iv) = so3_apply(-X, k.sin_t, k.cos_t, Vec3(dq1.segment<3>(iv))) + own;
     dp1.segment<3>(iv) = so3_apply(-X, k.sin_t, k.cos_t, change) - own.cross(p1);
   }
+  fold_momentum(*tree_, dp1);
 }
 
 // What the body of a spherical joint turns by at a stage along the direction, body frame.

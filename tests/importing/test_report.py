@@ -100,7 +100,7 @@ def test_talos_mimic_tags_and_hulls():
     tagged = {joint.name for joint in part.joints if joint.mimic}
     # A text search finds 24: twelve are <mimicJoint> of Gazebo plugins.
     assert len(tagged) == 12
-    assert tagged == names(report, "used", "mimic tag: a constraint")
+    assert tagged == names(report, "used", "mimic tag: a coupled joint")
     assert {element.name for element in scene.elements} == {f"mimic_{name}" for name in tagged}
     free = loaded("talos_data/robots/talos_full_v2.urdf", base="free", mimic=False)
     assert tagged == names(free.report, "suspicious", "mimic") == names(free.report, "ignored", "mimic tag")

@@ -139,7 +139,7 @@ def test_mimic_tags_are_constraints(tmp_path: Path):
     (element,) = scene.elements
     assert (element.name, element.joint, element.other) == ("mimic_r_j2", "r_j2", "r_j1")
     assert scene.neutral() == pytest.approx([0.0, 0.1])
-    assert "mimic tag: a constraint, -2 * j1 + 0.1" in notes(scene, "used").values()
+    assert "mimic tag: a coupled joint, -2 * j1 + 0.1" in notes(scene, "used").values()
     free = cvi.Scene()
     free.add_urdf(file, mimic=False)
     assert not free.elements
