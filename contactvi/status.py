@@ -125,7 +125,7 @@ class Stats:
         found = cls.__new__(cls)
         values = vars(found)
         values.update(counts)
-        del values["saturated"]  # the only one that is none of these
+        del values["saturated"]  # the only one that is none of these: it is of derivatives
         values["seconds"] += seconds
         return found
 

@@ -121,6 +121,7 @@ bool Branches::change(int function, const VecX& q, const VecX& v, bool moved) {
     for (Law& other : laws_) other.without_motion = 0;
   law.without_motion += moved ? 0 : 1;
   ++changes_;
+  switched_ = law.without_motion <= 1;  // several laws may change at one instant
   if (law.rope >= 0) {
     char& pulls = pulls_[static_cast<std::size_t>(law.rope)];
     pulls = pulls == 0 ? 1 : 0;

@@ -13,7 +13,7 @@ namespace contactvi {
 
 // Since the reset.
 struct SwitchCounts {
-  long located = 0;  // switches at which a smooth step has ended
+  long located = 0;  // switches at which smooth steps have ended
   long jumps = 0;    // of them, those at which a force has a jump: a rope with a damper becomes taut
   long held = 0;     // branches that were held over the rest of a control step, for they would have changed for ever
 };
@@ -37,7 +37,8 @@ class Branches final : public SwitchFunctions {
   // Goes to the branch beyond the root of a function at this state, with or without a motion since the last change.
   // False: it is held, for there have been too many changes.
   bool change(int function, const VecX& q, const VecX& v, bool moved);
-  // Whether the force has a jump at the last change.
+  // Of the last change: whether it is a switch, and not one that is taken back; and whether the force has a jump there.
+  bool switched() const { return switched_; }
   bool jumped() const { return jumped_; }
 
  private:
@@ -59,7 +60,7 @@ class Branches final : public SwitchFunctions {
   std::vector<Slackness> slackness_;
   VecX q0_;
   long changes_ = 0;  // in the control step
-  bool jumped_ = false;
+  bool switched_ = false, jumped_ = false;
 };
 
 }  // namespace contactvi

@@ -457,8 +457,8 @@ bool Simulator::begin_branches(const Interval& interval) {
 // Goes to the branch that follows at the state, where the last smooth step has ended. moved: it has come there by one.
 bool Simulator::enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved) {
   integrator_.forget();
-  state_.switches.located += moved ? 1 : 0;
   if (!branches_.change(switches_.which(), q, v, moved)) ++state_.switches.held;
+  state_.switches.located += branches_.switched() ? 1 : 0;
   state_.switches.jumps += branches_.jumped() ? 1 : 0;
   interval.keeps_branches = true;
   return true;

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-13  # relative and absolute, of each step
+SAME = 1e-12  # [m] of a rope's excess: ropes that are nearer to where they change do so together
 
 
 @dataclass
@@ -92,6 +93,11 @@ class BallOnRopes:
                 continue
             taut[k] = not taut[k]
             self.switches.append(now)
+            for other, event in enumerate(events[: len(self.ropes)]):  # those at the same instant
+                if other != k and abs(event(now, state)) <= SAME:
+                    taut[other] = not taut[other]
+                    self.switches.append(now)
+            break
         return state, now, taut
 
 
