@@ -209,7 +209,7 @@ def test_runs_in_batches_and_restored_ones_have_the_same_digits(order):
     kept = simulator.save()
     simulator.run(steps=steps - steps // 2)
     assert np.array_equal(simulator.q, alone.q[-1])
-    simulator.restore(kept)
+    simulator.load(kept)
     simulator.run(steps=steps - steps // 2)
     assert np.array_equal(simulator.q, alone.q[-1])
 
