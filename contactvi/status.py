@@ -73,6 +73,8 @@ class Stats:
         rejected: steps that "auto" made again shorter.
         guards_evaluated, guards_skipped: pairs and limits looked at, and those that could not be reached in the step.
         impacts: number of them.
+        switches: where a rope went slack or taut, or an actuator came to its limit or left it, and a step ended there.
+        held_branches: ropes and actuators whose law was kept over the rest of a step, as it would have changed for ever.
         seconds: wall time inside the engine.
         contact_steps: steps and parts of steps with persistent contacts.
         contact_iterations: iterations on the equations of these steps.
@@ -110,6 +112,8 @@ class Stats:
     dense_sweeps: int = 0
     dense_factorizations: int = 0
     dense_gap_iterations: int = 0
+    switches: int = 0
+    held_branches: int = 0
 
     sweeps = iterations = residuals = alias("stage_iterations")
     held_steps = alias("contact_steps")
@@ -121,7 +125,7 @@ class Stats:
         found = cls.__new__(cls)
         values = vars(found)
         values.update(counts)
-        del values["saturated"]  # the only one that is none of these
+        del values["saturated"]  # the only one that is none of these: it is of derivatives
         values["seconds"] += seconds
         return found
 

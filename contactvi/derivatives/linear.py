@@ -214,8 +214,8 @@ def _checked_step(
     off = float(np.abs(end - run.q).max(initial=0.0))
     if off > SAME * (1.0 + float(np.abs(end).max(initial=0.0))):
         raise NotDifferentiable(
-            "An actuator is at its limit in the step", reason="saturation", time=t,
-            expected="inputs and servos within their limits", got=f"a step whose end is {off:.2g} off without them",
+            "An actuator is at its limit in the step, or a rope goes slack or taut", reason="saturation", time=t,
+            expected="one law of each force over the step", got=f"a step whose end is {off:.2g} off without them",
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False)",
         )  # fmt: skip
     return found

@@ -17,7 +17,7 @@ relies on the law as far as successive distances have followed it, and is the wh
 motion makes of rounding and of the tolerance of the stage equations is a floor that no level can undercut. Two motions
 that separate (chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an
 AccuracyWarning that says why. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
-Nor do steps in which a rope goes slack or taut: there the distances of the last runs count as they are, and more.
+Where a rope goes slack or taut a step ends, so that the law holds through it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,6 @@ from contactvi.simulation.auto_contact import COMPANION, LEAST, LOST, SHORTEST, 
 from contactvi.simulation.auto_runs import AutoRun, largest
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.recorder import Record
-from contactvi.simulation.slack import switching_ropes
 from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene
@@ -61,7 +60,6 @@ _FINER = 0.6  # length of steps over that of another run
 _UNSURE = 2.0  # on an estimate by the law with the exponent that was seen
 _FOLLOWS = 5.0  # times what the law expects: a larger distance does not follow it
 _LEVELS = (1e-8, 3e-3)  # [m, rad]; below the first errors drown in rounding, and low orders need too many steps
-_KINKED = 3.0  # error of a run over its distance from the one before, in all of many runs with ropes that were measured
 _EPS = float(np.finfo(float).eps)
 
 
@@ -96,9 +94,6 @@ def run(
     record.separation = search.separation
     if found.interrupted:
         record.status = Status.interrupted(float(record.t[-1][-1]))
-    slack = switching_ropes(compiled, record) if record.status.ok else []
-    if slack:
-        estimate = max(estimate, search.without_law())
     if not options.dense:  # the segments were needed for the comparison only
         record.options, record.segments = options, []
     if options.ledger:
@@ -107,10 +102,9 @@ def run(
     if record.status.ok:
         search.release()
     if record.status.ok and not estimate <= options.tol:
-        reason = _of_ropes(slack) if slack else search.reason
         warnings.warn(
             f"The accuracy asked of q was not reached: tol = {options.tol:.3g}, estimated error {estimate:.3g}."
-            f" {reason}",
+            f" {search.reason}",
             AccuracyWarning,
             stacklevel=4,
         )
@@ -141,7 +135,6 @@ class _Search:
         self._last: AutoRun | None = None
         self._engines: list[tuple[_core.Simulator, float, float]] = []  # of the first runs, with their settings
         self._contact = ContactSearch(options)
-        self._pairs: list[tuple[float, float]] = []  # distance of two runs, steps of the finer one over the other's
         self._growth = 0.0  # of errors over the square of the level, the most that was seen
 
     def search(self) -> tuple[AutoRun, float]:
@@ -161,7 +154,6 @@ class _Search:
                 self.reason = f"A run with shorter steps ended early: {ended}"
                 return companion, judged.estimate
             judged = self._judge(companion, found, judged)
-            self._pairs.append((largest(judged.apart), found.run.nodes / max(companion.run.nodes, 1)))
             if judged.estimate <= self._options.tol:
                 break
             if found.in_contact:
@@ -179,17 +171,6 @@ class _Search:
         """Give the engines of the first runs, whose settings depend on the options alone, to later calls."""
         for simulator, slack, dt_contact in self._engines:
             engine.release(simulator, self._compiled, self._options, slack, dt_contact)
-
-    def without_law(self) -> float:
-        """Return the error as it is seen where no law of the order holds, because a force has a kink in some steps.
-
-        What a step loses there depends on where in it the kink lies, so how far two runs are apart is a matter of
-        chance; it goes with the square of the steps.
-        """
-        if not self._pairs:
-            return math.inf
-        found, more = _KINKED * self._pairs[-1][0], self._pairs[-1][1]
-        return found if len(self._pairs) == 1 else max(found, self._pairs[-2][0] / max(more, 1.0) ** 2)
 
     def stopped(self) -> AutoRun:
         """Return the last run as one that was interrupted; raise KeyboardInterrupt before there is one."""
@@ -327,15 +308,6 @@ def _by_law(apart: Array, before: Judged | None, ratio: float, floor: float, siz
         share, least = _UNSURE * share**part, min(fall**-2.0, least)
     by_law = distance * max(share, least)
     return Judged(max(floor, by_law if lawful else distance), by_law, apart, ratio, lawful, confirmed)
-
-
-def _of_ropes(names: list[str]) -> str:
-    """Return why runs with ropes that go slack are less accurate."""
-    listed = ", ".join(map(repr, names[:3])) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    return (
-        f"Inside of steps {listed} goes slack or taut, where the tension has a kink and the law of the order does not"
-        " hold: give dt=... with short steps, whose error goes with dt^2"
-    )
 
 
 def _whole(apart: Array, floor: float) -> Judged:

@@ -52,6 +52,8 @@ class EngineCounts(TypedDict):
     halved: int
     rejected: int
     saturated: int
+    switches: int
+    held_branches: int
     contact_steps: int
     contact_iterations: int
     cone_problems: int

@@ -194,13 +194,6 @@ class CompiledScene:
         }
         return next((what for what, is_there in reasons.items() if is_there), None)
 
-    @cached_property
-    def ropes(self) -> list[tuple[str, SpringRow]]:
-        """The springs that act in tension only, with their names."""
-        springs = [element.name for element in self._scene.elements if isinstance(element, PathSpring)]
-        rows = zip(springs, self.built.elements.springs, strict=True)
-        return [(name, row) for name, row in rows if row.tension_only]
-
     def start_velocity(self, q: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         """Return the velocity of a start at q (nq,) for which none was given: rest, or the nearest to it, (nv,)."""
         v = np.zeros(self.states.nv)

@@ -273,9 +273,11 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
     compiled.check_differentiable()
     if inputs.saturated:
         raise NotDifferentiable(
-            "Actuators were at their limits", reason="saturation", expected="inputs and servos within their limits",
-            got=f"{inputs.saturated} steps at a limit",
-            remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False)",
+            "Actuators were at their limits beside contact, or at those of speed, or a rope with a damper became taut",
+            reason="saturation", expected="limits of effort alone, in steps without contact; ropes without dampers",
+            got=f"{inputs.saturated} steps in which a force is constant or jumps",
+            remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False); give "
+            "ropes no damping",
         )  # fmt: skip
     options = traj.options
     settings = {

@@ -92,7 +92,7 @@ frame/time            (f,)           times of frames for pictures between nodes 
 frame/q               (f, nq)        configurations there
 force/work            (N, 4)         work since the start [J]: input, damping, joint friction, prescribed motions
 force/reactions       (N, r)         mean forces of header["constraints"] since the node before [N; N m]
-input/saturated       () int64       actuators at their limits, summed over steps; with record="gradient" only
+input/saturated       () int64       steps whose actuators or ropes have no derivatives; with record="gradient" only
 input/control         (k, nv)        generalized forces of the steps, if there were some [N, N m]
 input/target          (k, 2 nv)      references of the servos, positions and then velocities, if there were some
 input/contact_steps   (i,)           steps with persistent contacts (core/sensitivity/contact_step_numbers.hpp)

@@ -27,7 +27,9 @@ Dict stats(const RunState& state, const EngineCounters& counters, double seconds
   d["guards_skipped"] = counters.guards.skipped;
   d["impacts"] = state.impacts;
   d["seconds"] = seconds;
-  d["saturated"] = state.actuators.saturated;
+  d["saturated"] = state.actuators.saturated + state.switches.jumps;
+  d["switches"] = state.switches.located;
+  d["held_branches"] = state.switches.held;
   add_contact_stats(counters, state, d);
   return d;
 }

@@ -71,13 +71,36 @@ double ForceField::length(const PathSpring& spring, VecRef gradient) const {
   return total;
 }
 
-// Tension at a length that grows with a speed; elastic: the part that comes from the potential.
-double ForceField::tension(const PathSpring& spring, double length, double speed, double& elastic) const {
+// Tension of spring k at a length that grows with a speed; elastic: the part that comes from the potential.
+double ForceField::tension(std::size_t k, double length, double speed, double& elastic) const {
+  const PathSpring& spring = tree_->elements.path_springs[k];
+  const bool held = spring.tension_only && pulls_ != nullptr, pulls = held && (*pulls_)[k] != 0;
   elastic = 0.0;
-  if (!in_reach(spring, length)) return 0.0;
+  if (!pulls && !in_reach(spring, length)) return 0.0;
   elastic = spring.stiffness * (length - spring.rest_length);
   const double whole = elastic + spring.damping * speed;
+  if (held) return pulls ? whole : 0.0;
   return spring.tension_only ? std::max(0.0, whole) : whole;
+}
+
+// A spring pulls where it is longer than at rest and where spring and damper together pull: where the lesser of the
+// two, as lengths, is positive. The first becomes zero on the way out and the second, at the latest, on the way back.
+void ForceField::slackness(const std::vector<int>& springs, const VecCRef& q, const VecCRef& v,
+                           std::vector<Slackness>& found) {
+  place(*tree_, q, at_);
+  found.clear();
+  for (const int k : springs) {
+    const PathSpring& spring = tree_->elements.path_springs[static_cast<std::size_t>(k)];
+    const double l = length(spring, row_), over = l - spring.rest_length;
+    double pull = over, moved = 0.0;
+    if (spring.damping > 0.0) {
+      const double speed = row_.dot(v);
+      // A damper without a spring: the length of a second.
+      moved = spring.stiffness > 0.0 ? spring.damping / spring.stiffness * speed : speed;
+      pull = spring.stiffness > 0.0 ? over + moved : moved;
+    }
+    found.push_back({std::min(over, pull), std::max(l, spring.rest_length) + std::abs(moved)});
+  }
 }
 
 double ForceField::potential(const VecCRef& q) {
@@ -183,10 +206,10 @@ void ForceField::add(double t, const VecCRef& q, const VecCRef& v, VecRef f, Vec
     size[joint.iv] += std::abs(slope);
   }
   if (!e.path_springs.empty() || !e.wrenches.empty()) place(*tree_, q, at_);
-  for (const PathSpring& spring : e.path_springs) {
-    const double l = length(spring, row_), speed = row_.dot(v);
+  for (std::size_t k = 0; k < e.path_springs.size(); ++k) {
+    const double l = length(e.path_springs[k], row_), speed = row_.dot(v);
     double elastic = 0.0;
-    const double pull = tension(spring, l, speed, elastic);
+    const double pull = tension(k, l, speed, elastic);
     f -= pull * row_;
     size += std::abs(pull) * row_.cwiseAbs();
     dissipation_ += (pull - elastic) * speed;
@@ -217,9 +240,11 @@ void ForceField::newton_terms(double t, const VecCRef& q, const VecCRef& v, doub
     ++column;
   }
   if (!e.path_springs.empty()) place(*tree_, q, at_);
-  for (const PathSpring& spring : e.path_springs) {
+  for (std::size_t k = 0; k < e.path_springs.size(); ++k) {
+    const PathSpring& spring = e.path_springs[k];
     const double l = length(spring, J.col(column));
-    if (in_reach(spring, l)) C(column, column) = damping * spring.damping + stiffness * spring.stiffness;
+    const bool acts = spring.tension_only && pulls_ != nullptr ? (*pulls_)[k] != 0 : in_reach(spring, l);
+    if (acts) C(column, column) = damping * spring.damping + stiffness * spring.stiffness;
     ++column;
   }
   if (user_column_ < 0) return;

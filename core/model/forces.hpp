@@ -6,6 +6,12 @@
 
 namespace contactvi {
 
+// How far a spring that only pulls is from going slack, or beyond it if negative; its forces are not zero where this is
+// positive. In units of its size, the sizes of its terms [m].
+struct Slackness {
+  double value, size;
+};
+
 class ForceField {
  public:
   explicit ForceField(const Tree& tree);
@@ -13,6 +19,12 @@ class ForceField {
   bool any() const { return any_; }
   // Number of columns of the Newton terms.
   int stiff_columns() const { return stiff_columns_; }
+
+  // From now on each spring that only pulls has the law of one branch, wherever its length is: 1 pulls, 0 is slack; by
+  // the numbers of the springs. Null: each has the branch of its length and speed. The vector must live on.
+  void hold_branches(const std::vector<char>* pulls) { pulls_ = pulls; }
+  // Sets, for the springs with these numbers, which have to be ones that only pull, how far each is from going slack.
+  void slackness(const std::vector<int>& springs, const VecCRef& q, const VecCRef& v, std::vector<Slackness>& found);
 
   // Potential energy of the elements [J].
   double potential(const VecCRef& q);
@@ -31,7 +43,7 @@ class ForceField {
 
  private:
   double length(const PathSpring& spring, VecRef gradient) const;
-  double tension(const PathSpring& spring, double length, double speed, double& elastic) const;
+  double tension(std::size_t k, double length, double speed, double& elastic) const;
   void add_wrenches(double t, const VecCRef& v, VecRef f, VecRef size);
   void add_users(double t, const VecCRef& q, const VecCRef& v, VecRef f, VecRef size);
   void add_matrix(const MatX& public_matrix, const VecCRef& q, double factor, Eigen::Ref<MatX> C);
@@ -43,6 +55,7 @@ class ForceField {
   VecX row_, q_, v_, force_, q_side_, v_side_;
   MatX first_, second_;
   double input_ = 0, dissipation_ = 0;
+  const std::vector<char>* pulls_ = nullptr;
 };
 
 // Potential energy of gravity, the joints' springs and the elements [J]; at: the placements at q.

@@ -14,7 +14,17 @@ double bound(const VecX& limits, int dof) { return limits.size() > 0 ? limits[do
 }  // namespace
 
 Actuation::Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact, DenseStep& dense)
-    : tree_(&tree), state_(&state), free_(&free), contact_(&contact), dense_(&dense), v_(tree.nv) {}
+    : tree_(&tree),
+      state_(&state),
+      free_(&free),
+      contact_(&contact),
+      dense_(&dense),
+      v_(tree.nv),
+      drive_(static_cast<std::size_t>(tree.nv), Drive::kAsked) {
+  for (const Joint& joint : tree.joints)
+    if (joint.nv == 1 && (std::isfinite(effort_limit(joint.iv)) || std::isfinite(speed_limit(joint.iv))))
+      limited_dofs_.push_back(joint.iv);
+}
 
 Actuation::Shared::Shared(const Tree& tree, NodeCompany& with)
     : company(&with), model(tree), lanes(&with.node_lanes_of(model)), node(tree, model, 1) {}
@@ -81,35 +91,87 @@ void Actuation::limit(const VecX& q, const VecX& p) {
     servo.feed.setZero(tree.nv);
   }
   find_velocity(q, p);
-  for (const Joint& joint : tree.joints) {
-    const int d = joint.iv;
-    if (joint.nv != 1) continue;
-    const bool driven = has_servos && (servo.kp[d] != 0.0 || servo.kd[d] != 0.0);
-    double follow = 0.0;
-    if (driven) {
-      follow = servo.kd[d] * (servo.v_ref[d] - v_[d]);
-      if (servo.kp[d] != 0.0) follow += servo.kp[d] * joint_error(joint, q, servo.q_ref[d]);
-    }
-    const double own = limited.size() > 0 ? limited[d] : 0.0, wanted = own + follow, most = effort_limit(d);
-    double given = std::clamp(wanted, -most, most);
-    if (std::abs(v_[d]) >= bound(e.speed, d) && given * v_[d] > 0.0) given = 0.0;
-    if (given == wanted) continue;
-    ++state_->saturated;
-    if (driven) {
-      servo.kp[d] = servo.kd[d] = 0.0;
-      servo.feed[d] = given - own;
-    } else {
-      limited[d] = given;
-    }
+  for (const int d : limited_dofs_) {
+    const double wanted = asked(d, q, q, v_).effort, most = effort_limit(d);
+    const double given = std::clamp(wanted, -most, most);
+    Drive drive = given == wanted ? Drive::kAsked : given > 0.0 ? Drive::kHigh : Drive::kLow;
+    if (std::abs(v_[d]) >= speed_limit(d) && given * v_[d] > 0.0) drive = Drive::kCut;
+    set_drive(d, drive);
   }
   apply_servo();
 }
 
+void Actuation::set_drive(int d, Drive drive) {
+  drive_[static_cast<std::size_t>(d)] = drive;
+  Servo& servo = state_->servo;
+  const double most = effort_limit(d), own = this->own(d);
+  const double given = drive == Drive::kHigh ? most : drive == Drive::kLow ? -most : 0.0;
+  const bool asked = drive == Drive::kAsked;
+  if (is_driven(d)) {
+    const Elements& e = tree_->elements;
+    servo.kp[d] = asked ? e.servo_kp[d] : 0.0;
+    servo.kd[d] = asked ? e.servo_kd[d] : 0.0;
+    servo.feed[d] = asked ? 0.0 : given - own;
+  } else if (state_->limited.size() > 0) {
+    state_->limited[d] = asked ? own : given;
+  }
+}
+
+bool Actuation::is_any(Drive drive) const {
+  return std::find(drive_.begin(), drive_.end(), drive) != drive_.end();
+}
+
+bool Actuation::is_any_limited() const {
+  const Servo& servo = state_->servo;
+  return std::any_of(limited_dofs_.begin(), limited_dofs_.end(), [&](int d) {
+    return drive(d) != Drive::kAsked || (is_driven(d) && servo.kp[d] == 0.0 && servo.kd[d] == 0.0);
+  });
+}
+
+void Actuation::enter(int d, Drive drive) {
+  set_drive(d, drive);
+  apply_servo();
+}
+
+bool Actuation::is_driven(int d) const {
+  const Elements& e = tree_->elements;
+  return e.servo_kp.size() > 0 && (e.servo_kp[d] != 0.0 || e.servo_kd[d] != 0.0);
+}
+
+// The input as it was given.
+double Actuation::own(int d) const { return state_->given.size() > 0 ? state_->given[d] : 0.0; }
+
+// Of a continuous joint the error is the one at the start of the part and the turn since then, also beyond half a
+// revolution.
+Actuation::Asked Actuation::asked(int d, const VecX& q0, const VecX& q, const VecX& v) const {
+  const double own = this->own(d);
+  Asked found{own, std::abs(own)};
+  if (!is_driven(d)) return found;
+  const Elements& e = tree_->elements;
+  const Servo& servo = state_->servo;
+  double damper = e.servo_kd[d] * (servo.v_ref[d] - v[d]);
+  found.size += std::abs(damper);
+  if (e.servo_kp[d] != 0.0) {
+    const Joint& joint = tree_->joints[static_cast<std::size_t>(tree_->dof_joint[d])];
+    double error = joint_error(joint, q, servo.q_ref[d]);
+    if (joint.type == JointType::kContinuous) {
+      const double start = joint_error(joint, q0, servo.q_ref[d]);
+      error = start + std::remainder(error - start, kTwoPi);
+    }
+    const double spring = e.servo_kp[d] * error;
+    damper += spring;
+    found.size += std::abs(spring);
+  }
+  found.effort += damper;
+  return found;
+}
+
 double Actuation::effort_limit(int d) const {
   const Elements& e = tree_->elements;
-  const bool driven = e.servo_kp.size() > 0 && (e.servo_kp[d] != 0.0 || e.servo_kd[d] != 0.0);
-  return std::min(bound(e.effort, d), driven ? bound(e.servo_effort, d) : INFINITY);
+  return std::min(bound(e.effort, d), is_driven(d) ? bound(e.servo_effort, d) : INFINITY);
 }
+
+double Actuation::speed_limit(int d) const { return bound(tree_->elements.speed, d); }
 
 void Actuation::apply_servo() {
   const Servo* servo = tree_->elements.servo_kp.size() > 0 ? &state_->servo : nullptr;
@@ -137,7 +199,6 @@ bool Actuation::saturate_servos(const StepEquations& step) {
     if (!(std::abs(largest) > most * (1.0 + kOverEffort))) continue;
     servo.kp[d] = servo.kd[d] = 0.0;
     servo.feed[d] = std::copysign(most, largest) - own;
-    ++state_->saturated;
     exceeds = true;
   }
   if (exceeds) apply_servo();

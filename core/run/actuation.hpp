@@ -12,8 +12,13 @@ namespace contactvi {
 struct ActuatorState {
   VecX given, limited;  // generalized force of the step under way: as given, within the limits
   Servo servo;
-  long saturated = 0;  // actuators at their limits, summed over steps
+  // Steps with contact in which actuators were at their limits, and smooth ones in which some were at that of speed.
+  long saturated = 0;
 };
+
+// The branches of an actuator's law: what is asked for; the least or the largest effort; none, because the joint is at
+// its largest speed and would be driven on.
+enum class Drive : char { kAsked, kLow, kHigh, kCut };
 
 class Actuation {
  public:
@@ -33,6 +38,26 @@ class Actuation {
   // Sets servos that were beyond their effort limit in the step just solved to that limit. True if there were any: the
   // step is to be solved again.
   bool saturate_servos(const StepEquations& step);
+  // Joints with limits, by their dofs: those whose actuators have more than one branch. The branch of one, which
+  // limit() has chosen; and another one from now on.
+  const std::vector<int>& limited_dofs() const { return limited_dofs_; }
+  Drive drive(int dof) const { return drive_[static_cast<std::size_t>(dof)]; }
+  void enter(int dof, Drive drive);
+  bool is_any(Drive drive) const;
+  // Whether an actuator was at a limit in the step just made, with contact or without.
+  bool is_any_limited() const;
+  // Where limit() was called last: the velocity there.
+  const VecX& start_velocity() const { return v_; }
+  // What is asked of a joint in a part of a step that begins at q0, at a state in it, and the sizes of its terms.
+  struct Asked {
+    double effort, size;
+  };
+  Asked asked(int dof, const VecX& q0, const VecX& q, const VecX& v) const;
+  // Whether that changes in a step: there is a servo.
+  bool is_driven(int dof) const;
+  // Bounds of a joint's actuator; infinite: none.
+  double effort_limit(int dof) const;
+  double speed_limit(int dof) const;
   // The generalized force of the step under way, within the limits; (nv,) or empty.
   const VecX& force() const { return state_->limited; }
   // To be called after `state` has been restored.
@@ -47,7 +72,8 @@ class Actuation {
     Stages node;
     Shared(const Tree& tree, NodeCompany& with);
   };
-  double effort_limit(int d) const;
+  double own(int dof) const;
+  void set_drive(int dof, Drive drive);
   void find_velocity(const VecX& q, const VecX& p);
 
   const Tree* tree_;
@@ -56,6 +82,8 @@ class Actuation {
   ContactStep* contact_;
   DenseStep* dense_;
   VecX v_;
+  std::vector<int> limited_dofs_;
+  std::vector<Drive> drive_;  // per dof
   std::unique_ptr<Shared> shared_;
 };
 

@@ -61,11 +61,13 @@ void Simulator::redo_from(const Snapshot& start, const Recording::Mark& mark, Re
   const RunState& now = state_;
   const long rejected = now.rejected + now.step - start.run.step + 1, halved = now.control.halved,
              saturated = now.actuators.saturated;
+  const SwitchCounts switches = now.switches;
   const double adaptive_dt = now.adaptive_dt, contact_seconds = now.contact_seconds;
   restore_state(start);
   state_.rejected = rejected;
   state_.control.halved = halved;
   state_.actuators.saturated = saturated;
+  state_.switches = switches;
   state_.adaptive_dt = adaptive_dt;
   state_.contact_seconds = contact_seconds;
   recording.cut(mark);

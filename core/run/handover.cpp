@@ -53,6 +53,8 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   for (const Flights::Entry& entry : from.flights) s.flights.at(entry.first) = entry.second;
   s.initial_changes.clear();
   s.actuators.saturated = 0;
+  s.switches = SwitchCounts();
+  s.watch = EnergyWatch();
   s.actuators.servo.any = false;
   s.work.start(t, scene_->tree, s.p, does_work_);
   s.dense = from.dense;
@@ -79,6 +81,7 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
 
 void Simulator::forget_counts() {
   state_.impacts = state_.dense_steps = state_.control.halved = state_.actuators.saturated = 0;
+  state_.switches = SwitchCounts();
   state_.contact_seconds = 0.0;
   state_.work.clear();
 }

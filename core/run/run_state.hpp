@@ -12,7 +12,9 @@
 #include "impact/impact_law.hpp"
 #include "record/recording.hpp"
 #include "run/actuation.hpp"
+#include "run/branches.hpp"
 #include "run/dense_phase.hpp"
+#include "run/long_steps.hpp"
 #include "run/step_control.hpp"
 #include "run/work_account.hpp"
 #include "run/zeno_detector.hpp"
@@ -37,6 +39,8 @@ struct RunState {
   std::vector<SeparatedPoint> separated;
   std::vector<ChangeRecord> initial_changes;  // changes of contact made by reset, which the next run records
   ActuatorState actuators;
+  SwitchCounts switches;
+  EnergyWatch watch;
   WorkAccount work;
   DensePhase dense;
   long impacts = 0, rejected = 0, dense_steps = 0;

@@ -55,14 +55,26 @@ void fields(Archive& a, ChangeRecord& x) {
 
 template <class Archive>
 void fields(Archive& a, Servo& x) {
-  auto& [any, kp, kd, q_ref, v_ref, feed] = x;
-  values(a, any, kp, kd, q_ref, v_ref, feed);
+  auto& [any, kp, kd, q_ref, v_ref, feed, held] = x;
+  values(a, any, kp, kd, q_ref, v_ref, feed, held);
 }
 
 template <class Archive>
 void fields(Archive& a, ActuatorState& x) {
   auto& [given, limited, servo, saturated] = x;
   values(a, given, limited, servo, saturated);
+}
+
+template <class Archive>
+void fields(Archive& a, SwitchCounts& x) {
+  auto& [located, jumps, held] = x;
+  values(a, located, jumps, held);
+}
+
+template <class Archive>
+void fields(Archive& a, EnergyWatch& x) {
+  auto& [known, start, scale] = x;
+  values(a, known, start, scale);
 }
 
 template <class Archive>
@@ -92,9 +104,9 @@ void fields(Archive& a, DensePhase& x) {
 template <class Archive>
 void fields(Archive& a, RunState& x) {
   auto& [start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
-         initial_changes, actuators, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest] = x;
+         initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest] = x;
   values(a, start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
-         initial_changes, actuators, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest);
+         initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest);
 }
 
 template <class Archive>

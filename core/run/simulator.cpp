@@ -51,12 +51,16 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       path_(scene.tree, options.stages),
       contact_path_(scene.tree, 1),
       actuation_(scene.tree, state_.actuators, integrator_, contact_step_, dense_step_),
+      branches_(scene.tree, actuation_, integrator_),
+      switches_(scene.tree, integrator_, branches_),
+      long_steps_(scene.tree),
       zeno_(scene, dissipative_, allows_persistent_contact()),
       contacts_(scene, state_, integrator_, guards_, finder_, contact_step_, sequence_),
       changes_(state_, contact_step_, contact_path_),
       q1_(scene.tree.nq),
       p1_(scene.tree.nv),
       v_(scene.tree.nv),
+      v_long_(scene.tree.nv),
       rates_(scene.tree.nv, options.stages),
       fresh_(memory()) {
   state_.q.setZero(scene.tree.nq);
@@ -242,11 +246,7 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
   integrator_.limit_truncation(truncation_.limited ? truncation_.bound : kInfinity);
   integrator_.lead(guide_, time);
-  bool solved = integrator_.solve(state_.q, state_.p, h, tau);
-  while (solved && actuation_.saturate_servos(integrator_)) {
-    integrator_.forget();
-    solved = integrator_.solve(state_.q, state_.p, h, tau);
-  }
+  const bool solved = integrator_.solve(state_.q, state_.p, h, tau);
   integrator_.limit_truncation(kInfinity);
   if (!solved) {
     if (user_function_failed(time)) return false;
@@ -304,20 +304,26 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   if (state_.dense.active && dense_may_end()) end_dense_phase();
   if (!state_.dense.active) ++state_.dense.since_return;
   law_->start_step(free_state(start), state_.reference);
+  if (!branches_.none()) branches_.begin_interval();
   while (interval.remaining > 0.0) {
     interval.checked = false;
     if (parts++ > 0) {
       if (!report_progress(start + interval.done)) return false;
-      actuation_.limit(state_.q, state_.p);
+      if (!interval.keeps_branches) actuation_.limit(state_.q, state_.p);
     }
     if (state_.dense.active) {
+      state_.watch.known = false;
       if (!advance_dense(interval, recording)) return false;
+      count_saturated();
       continue;
     }
     const double cost = located_cost();
+    if (!contact_step_.empty()) state_.watch.known = false;  // friction takes energy there
     const long before = state_.impacts;
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
+    if (!branches_.none()) branches_.end_step();
+    count_saturated();
     // What is held by constraints or joint friction alone has no other steps.
     if (!contact_step_.contacts().empty() || sequence_.count() > 0) spent += located_cost() - cost;
     if (truncation_.after_impact > 1 && state_.impacts > before)
@@ -346,16 +352,43 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   StepControl& control = state_.control;
   const double at = interval.start + interval.done;
   const double longest = control.longest_free();
-  const bool shorter = longest < interval.remaining * (1.0 - 1e-9);
-  const double h = shorter ? longest : interval.remaining;
+  const bool halves = longest < interval.remaining * (1.0 - 1e-9);
+  double h = halves ? longest : interval.remaining;
   const bool last_try =
       truncation_.bound > 0.0 || h < StepControl::kShortest * options_.dt || control.halved - halved >= kMostHalvings;
   integrator_.set_time(at);
+  if (!branches_.none() && !begin_branches(interval)) return false;
   if (!solve_smooth_step(at, h, interval.tau, last_try)) {
     if (last_try || scene_->tree.elements.user_failed()) return false;
     control.halve_free(h);
     return true;
   }
+  // Adaptive steps are as short as their stages need.
+  if (truncation_.bound == 0.0 && !last_try &&
+      long_steps_.may_be_long(integrator_.stage_velocities(), integrator_.padded_stages(), h) &&
+      long_steps_.is_long(integrator_, h) && !energy_is_kept()) {
+    integrator_.forget();
+    control.halve_free(h);
+    return true;
+  }
+  bool switches = false;  // the step is to end where a branch does
+  if (branches_.count() > 0) {
+    const Search found = switches_.search(state_.q, state_.p, v_, q1_, p1_, h, interval.tau);
+    if (found != Search::kNone) integrator_.forget();
+    if (found == Search::kFound) {
+      if (switches_.alpha() <= 0.0) return enter_branch(interval, state_.q, v_, false);
+      switches = true;
+      h *= switches_.alpha();
+      q1_ = switches_.q();
+      p1_ = switches_.p();
+      if (options_.dense) rates_ = integrator_.rates();
+    } else if (found != Search::kNone) {
+      if (last_try) return end_failed_switch(found, at);
+      control.halve_free(h);
+      return true;
+    }
+  }
+  const bool shorter = halves || switches;
   if (!recording.phase_t.empty())
     record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kFree, recording);
   if (!stays_in_range(at)) return false;
@@ -373,8 +406,12 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     control.halve_free(h);
     return true;
   }
-  if (shorter && longest == control.free.longest) control.free.grow();
-  if (found == Search::kFound) return take_event(interval, h, shorter, recording);
+  if (halves && !switches && longest == control.free.longest) control.free.grow();
+  if (found == Search::kFound) {
+    if (!branches_.none()) branches_.end_step();
+    interval.keeps_branches = false;
+    return take_event(interval, h, shorter, recording);
+  }
   if (found != Search::kNone) return end_failed_search(found, at);
   state_.work.add(work);
   control.flew(options_.dt);
@@ -389,9 +426,62 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   interval.checked = true;
   interval.done += h;
   interval.remaining = shorter ? interval.length - interval.done : 0.0;
+  interval.keeps_branches = false;
+  if (switches) enter_branch(interval, state_.q, switches_.v(), true);
   // Each part of a step that was cut counts as a step of its own.
   if (interval.remaining > 0.0) law_->start_step(free_state(interval.start + interval.done), state_.reference);
   return true;
+}
+
+// Of a long smooth step just solved, from the state to q1_, p1_: whether it keeps the energy but for the work done.
+bool Simulator::energy_is_kept() {
+  const WorkTally& done = state_.work.tally();
+  const double work = done.input + done.driven - done.damping - done.joint_friction;
+  const auto kinetic = [this](const VecX& q, const VecX& p) {
+    return integrator_.node_velocity(q, p, v_long_) ? 0.5 * p.dot(v_long_) : kNaN;
+  };
+  const double V0 = potential(state_.q), V1 = potential(q1_), T0 = kinetic(state_.q, state_.p);
+  const double step_work = integrator_.input_work() - integrator_.damping_loss();
+  const double before = T0 + V0 - work, after = kinetic(q1_, p1_) + V1 - work - step_work;
+  return keeps_energy(state_.watch, before, after, T0, V1 - V0);
+}
+
+// Of a part of a step: whether derivatives do not know the limits that actuators were at.
+void Simulator::count_saturated() {
+  if (actuation_.limited_dofs().empty()) return;
+  const bool smooth = contact_step_.empty() && !state_.dense.active;
+  const bool any = smooth ? actuation_.is_any(Drive::kCut) : actuation_.is_any_limited();
+  state_.actuators.saturated += any ? 1 : 0;
+}
+
+// The branches of the smooth step that comes next, and v_ at its start.
+bool Simulator::begin_branches(const Interval& interval) {
+  // Steps of run_auto have no inputs, and no limits are applied in advance.
+  const bool known = !actuation_.limited_dofs().empty() && truncation_.bound == 0.0 && !interval.keeps_branches;
+  if (known) {
+    v_ = actuation_.start_velocity();
+  } else if (!integrator_.node_velocity(state_.q, state_.p, v_)) {
+    return end(StatusCode::kNewtonFailed, interval.start + interval.done, "the mass matrix is not positive definite");
+  }
+  branches_.begin_step(state_.q, v_, interval.keeps_branches);
+  return true;
+}
+
+// Goes to the branch that follows at the state, where the last smooth step has ended. moved: it has come there by one.
+bool Simulator::enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved) {
+  integrator_.forget();
+  if (!branches_.change(switches_.which(), q, v, moved)) ++state_.switches.held;
+  state_.switches.located += branches_.switched() ? 1 : 0;
+  state_.switches.jumps += branches_.jumped() ? 1 : 0;
+  interval.keeps_branches = true;
+  return true;
+}
+
+bool Simulator::end_failed_switch(Search outcome, double time) {
+  if (outcome == Search::kNewtonFailed)
+    return end(StatusCode::kNewtonFailed, time,
+               std::string("a partial step to where a force changes its law was not solved: ") + integrator_.why());
+  return end(StatusCode::kEventUnresolved, time, "a force changes its law in a step, and where was not found");
 }
 
 // The part of a smooth step of length h up to the event that was found in it, and the event. shorter: the step does not
@@ -405,6 +495,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
     record_segment(at, before, event.p, recording);
   }
   integrator_.forget();
+  state_.watch.known = false;
   interval.done += before;
   interval.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : interval.length - interval.done;
   state_.q = event.q;

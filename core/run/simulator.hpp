@@ -157,6 +157,7 @@ class Simulator {
     double start, length, done, remaining;
     const VecX& tau;
     bool checked = false;  // the state is in range, as its last change was a smooth step
+    bool keeps_branches = false;  // the next smooth step has those of the last one, which has ended where one did
     // Of how many steps of at most this length [s] the rest consists; one that is longer by rounding is no further one.
     double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
   };
@@ -176,6 +177,11 @@ class Simulator {
   bool advance_interval(double start, double length, const VecX& tau, Recording& recording);
   bool advance_free(Interval& interval, long halved, Recording& recording);
   bool take_event(Interval& interval, double h, bool shorter, Recording& recording);
+  bool energy_is_kept();
+  void count_saturated();
+  bool begin_branches(const Interval& interval);
+  bool enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved);
+  bool end_failed_switch(Search outcome, double time);
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
   void start_recording(const Progress& progress, Recording& recording);
   void record_node(double t, Recording& recording) { record_node(t, state_.q.data(), state_.p.data(), recording); }
@@ -267,12 +273,15 @@ class Simulator {
   ImpactSequence sequence_;
   StepPath path_, contact_path_;
   Actuation actuation_;
+  Branches branches_;
+  SwitchFinder switches_;
+  LongSteps long_steps_;
   ZenoDetector zeno_;
   ContactSet contacts_;
   ContactChangeFinder changes_;
   Truncation truncation_;
   Guide* guide_ = nullptr;
-  VecX q1_, p1_, v_;
+  VecX q1_, p1_, v_, v_long_;
   VecX gravity_q_;        // the last configuration whose potential in gravity was found,
   double gravity_ = 0.0;  // and that potential [J]
   bool follows_motion_ = false;

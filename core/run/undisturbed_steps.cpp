@@ -12,7 +12,7 @@ bool Simulator::flies_undisturbed() const {
   const Elements& e = scene_->tree.elements;
   return truncation_.bound == 0.0 && !options_.dense && !law_->implicit() && guide_ == nullptr &&
          !state_.dense.active && contact_step_.empty() && state_.control.flight == 0.0 &&
-         state_.control.free.longest >= options_.dt && e.effort.size() + e.speed.size() == 0 &&
+         state_.control.free.longest >= options_.dt && e.effort.size() + e.speed.size() == 0 && branches_.none() &&
          state_.actuators.given.size() == 0;
 }
 
@@ -23,7 +23,8 @@ int Simulator::foresee(long most) {
   count = static_cast<int>(std::min<long>(count, most));
   for (int k = 0; k < count; ++k)
     if (!in_range(steps.next(k, StepsAhead::kQ), state_.q.size()) ||
-        !in_range(steps.next(k, StepsAhead::kP), state_.p.size()))
+        !in_range(steps.next(k, StepsAhead::kP), state_.p.size()) ||
+        long_steps_.may_be_long(steps.next(k, StepsAhead::kV), 1, options_.dt))
       count = k;
   if (guards_.count() == 0 && !follows_motion_) return count;
   finder_.set_stepper(integrator_);

@@ -323,6 +323,9 @@ void World::accept(double t, double length, Recording& recording) {
     state_.dense_steps += static_cast<long>(island->recording().dense.size());
     state_.control.halved += part.control.halved;
     state_.actuators.saturated += part.actuators.saturated;
+    state_.switches.located += part.switches.located;
+    state_.switches.jumps += part.switches.jumps;
+    state_.switches.held += part.switches.held;
     state_.contact_seconds += part.contact_seconds;
     island->engine().forget_counts();
   }

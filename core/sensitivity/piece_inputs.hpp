@@ -12,12 +12,23 @@ class PieceInputs {
   // Sets the inputs of the control step that a piece belongs to.
   void set(const Piece& piece);
   const VecX& tau() const { return tau_; }  // public coordinates, (nv,) or empty
+  // Takes from a change of the inputs, or from a gradient in them, what limits of actuators keep from acting in the
+  // piece: (nv,) or empty.
+  void mask(VecX& tau) const {
+    for (const int d : held_)
+      if (tau.size() > 0) tau[d] = 0.0;
+  }
+  bool any_held() const { return !held_.empty(); }
   const Servo* servo() const { return servo_.any ? &servo_ : nullptr; }
 
  private:
+  void limit(const Piece& piece);
+
+  const Tree* tree_;
   const RecordedRun* run_;
   Servo servo_;
   VecX tau_;
+  std::vector<int> limited_, held_;  // dofs: with a limit of effort; at it in the piece
 };
 
 // How far a closing speed is from zero, relative to the size of its terms. Throws NoDerivative where it is too small

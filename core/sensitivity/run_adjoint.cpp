@@ -48,6 +48,7 @@ void RunAdjoint::step_back(long step, RunGradient& result) {
   adjoint_.add_parameters(result.parameters);
   lq_ = lq0_;
   lp_ = lp0_;
+  inputs_.mask(ltau_);
   result.end_step(step, ltau_);
 }
 

@@ -82,6 +82,7 @@ void RunHessian::set_direction(std::size_t piece, const RunVector& direction) {
   direction_.p = changes_[piece].p;
   direction_.h = changes_[piece].h;
   direction_.tau = direction.tau.rows() > 0 ? VecX(direction.tau.row(run_->pieces[piece].step).transpose()) : VecX();
+  inputs_.mask(direction_.tau);
 }
 
 // A smooth piece with its inputs.
@@ -233,6 +234,8 @@ void RunHessian::pass_piece(std::size_t i, const RunVector& direction, RunCurvat
   if (!hessian_.solve(direction_, l_.q, l_.v, l_.dq, l_.dv, gradient, change)) refuse_step(piece);
   l_ = {gradient.q, gradient.p, change.q, change.p};
   if (piece.end != PieceEnd::kLength) ltime_ = {-gradient.h, -change.h};
+  inputs_.mask(gradient.tau);
+  inputs_.mask(change.tau);
   result.gradient.tau.row(piece.step) += gradient.tau.transpose();
   result.product.tau.row(piece.step) += change.tau.transpose();
 }

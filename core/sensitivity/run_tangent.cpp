@@ -129,6 +129,7 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
       direction_.q = columns_.q.col(k);
       direction_.p = columns_.p.col(k);
       direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+      inputs_.mask(direction_.tau);
       direction_.parameters = d.parameter(k);
       direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
       if (!tangent().solve(direction_, dq_, dp_))
@@ -147,6 +148,7 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
 bool RunTangent::apply_map(const Piece& piece, const RunDirections& d) {
   int columns = 0;
   for (Eigen::Index k = 0; k < d.count; ++k) columns += d.parameter(k) == nullptr;
+  if (inputs_.any_held() && d.tau.size() > 0) return false;  // it would act with what limits keep from acting
   if (!map_.pays_for(columns) || !map_.take(*step_)) return false;
   const bool moves = piece.end != PieceEnd::kLength;
   map_.apply(columns_.q, columns_.p, d.tau, moves ? VecX(-columns_.time) : VecX(VecX::Zero(d.count)), q1_, p1_);

@@ -6,6 +6,7 @@
 
 #include <limits>
 #include <utility>
+#include <vector>
 
 #include "base/aligned_array.hpp"
 #include "base/gauss.hpp"
@@ -19,6 +20,9 @@ namespace contactvi {
 struct Servo {
   bool any = false;
   VecX kp, kd, q_ref, v_ref, feed;  // nv
+  // Of derivatives: joints whose force is that of a limit, whatever the inputs, gains and references are; empty: none.
+  std::vector<char> held;
+  bool holds(int dof) const { return !held.empty() && held[static_cast<std::size_t>(dof)] != 0; }
 };
 
 class Stages {

@@ -171,6 +171,11 @@ const MatX& StepEquations::velocities() {
   return velocities_;
 }
 
+void StepEquations::stage_state(int i, VecRef q, VecRef v) {
+  stages_.configuration(q0_, i, q);
+  for (int d = 0; d < tree_->nv; ++d) v[d] = stages_.v()[d * stages_.padded() + i];
+}
+
 // Of the numbers v of the stages, as Stages keeps them.
 double StepEquations::highest_mode(const double* v) const {
   constexpr int kSideBySide = 4;  // dofs, whose sums do not wait for each other

@@ -42,6 +42,11 @@ class StepEquations {
     if (model_.lanes.balls > 0) stages_.rates();
     return stages_.rate();
   }
+  // Their velocities, [dof * padded_stages() + stage].
+  const double* stage_velocities() const { return stages_.v(); }
+  int padded_stages() const { return stages_.padded(); }
+  // Configuration and velocity at stage i of the step just solved.
+  void stage_state(int i, VecRef q, VecRef v);
   // Torque of the servo of dof d at stage i of the step just solved [N; N m].
   double servo_torque(int d, int i) const { return stages_.servo_torque(d, i); }
   // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;

@@ -79,7 +79,7 @@ void each_force_parameter(const Tree& tree, const Stages& stages, const VecCRef&
         visit(all.rest[iv + d], iv + d, joint.stiffness);
       }
     }
-    if (servo == nullptr || !servo->any || joint.nv != 1) continue;
+    if (servo == nullptr || !servo->any || joint.nv != 1 || servo->holds(iv)) continue;
     visit(all.kp[iv], iv, joint_error(joint, q0, servo->q_ref[iv]) - X[0]);
     visit(all.kd[iv], iv, servo->v_ref[iv] - stages.v()[iv * S + i]);
     visit(all.q_ref[iv], iv, servo->kp[iv]);

@@ -126,7 +126,10 @@ def rest_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
 
 
 def effort_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
-    """Where only servos do work it is at most effort times displacement, in steps without impacts."""
+    """Where only servos do work it is at most effort times displacement, in steps without impacts.
+
+    In a step in which a joint turns back its way is longer than the displacement, and nothing is said.
+    """
     kp, kd, effort = traj.scene.built().arrays.servo
     used = np.flatnonzero((kp > 0.0) | (kd > 0.0))
     others = {"push", "shake", "drag"} & set(b.elements)
@@ -136,6 +139,7 @@ def effort_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     way = np.abs(np.diff(traj.q[:, [places[d] for d in used]], axis=0)) @ effort[used]
     smooth = ~np.isin(np.arange(len(way)), traj.events.array("step"))
     smooth &= ~np.isin(np.arange(len(way)), traj.contacts.array("step"))
+    smooth &= np.all(traj.v[1:, used] * traj.v[:-1, used] > 0.0, axis=1)
     excess = np.abs(np.diff(traj.work.input)) - way
     yield from worst("effort", excess[smooth], 1e-11 * (1.0 + np.abs(traj.energy).max()), traj.t[1:][smooth])
 

@@ -118,9 +118,8 @@ def test_a_saturated_run_is_still_refused(tmp_path):
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
-    model.effortLimit[:] = 1.0
     scene = cvi.Scene.from_pinocchio(model)
-    scene.set_actuator("slide", effort=1.0)
+    scene.set_actuator("slide", velocity=0.1)
     traj = cvi.simulate(scene, [0.0], [0.0], duration=0.1, dt=1e-2, control=np.full((10, 1), 3.0), record="gradient")
     loaded = cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))
     for run in (traj, loaded):
