@@ -86,7 +86,6 @@ class Resolved:
     Attributes:
         dofs: Names of the degrees of freedom, (nv,).
         couplings: Joints that follow others, which some of the constraints are.
-        time_varying: Whether some wrench or constraint depends on time.
     """
 
     dofs: list[str]
@@ -96,7 +95,6 @@ class Resolved:
     potentials: list[UserPotential] = field(default_factory=list)
     forces: list[UserForce] = field(default_factory=list)
     couplings: Couplings = field(default_factory=Couplings)
-    time_varying: bool = False
 
     @property
     def equations(self) -> list[ConstraintRow]:
@@ -126,7 +124,6 @@ def resolve(elements: Sequence[Element], model: pin.Model, start: np.ndarray) ->
             if element.name in result.couplings.names:
                 rows = replace(rows, coupled=True)
             result.constraints.append(rows)
-            result.time_varying |= rows.driven
         elif isinstance(element, PathSpring):
             joints, points = zip(*(placed.point(body, xyz) for body, xyz in element.points), strict=True)
             length = placed.length(element.points) if element.rest_length is None else element.rest_length
@@ -137,7 +134,6 @@ def resolve(elements: Sequence[Element], model: pin.Model, start: np.ndarray) ->
             axes = None if element.axes == "world" else placed.body(element.body)[1]
             wrench = checked_wrench(element.force, element.torque, element.name)
             result.wrenches.append(WrenchRow(joint, point, axes, wrench))
-            result.time_varying |= not element.constant
         elif isinstance(element, UserPotential):
             result.potentials.append(element)
         elif isinstance(element, UserForce):

@@ -441,7 +441,7 @@ bool Simulator::energy_is_kept() {
     return integrator_.node_velocity(q, p, v_long_) ? 0.5 * p.dot(v_long_) : kNaN;
   };
   const double V0 = potential(state_.q), V1 = potential(q1_), T0 = kinetic(state_.q, state_.p);
-  const double step_work = integrator_.input_work() - integrator_.damping_loss();
+  const double step_work = integrator_.work();
   const double before = T0 + V0 - work, after = kinetic(q1_, p1_) + V1 - work - step_work;
   return keeps_energy(state_.watch, before, after, T0, V1 - V0);
 }
