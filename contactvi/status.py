@@ -74,7 +74,7 @@ class Stats:
         guards_evaluated, guards_skipped: pairs and limits looked at, and those that could not be reached in the step.
         impacts: number of them.
         switches: where a rope went slack or taut, or an actuator came to its limit or left it, and a step ended there.
-        held_branches: ropes and actuators whose law was kept over the rest of a step, as it would have changed for ever.
+        held_branches: ropes and actuators whose law was kept over the rest of a step, where it would change for ever.
         seconds: wall time inside the engine.
         contact_steps: steps and parts of steps with persistent contacts.
         contact_iterations: iterations on the equations of these steps.

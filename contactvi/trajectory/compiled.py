@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.elements.constraints import PrescribedPose
-from contactvi.elements.forces import PathSpring, UserForce, UserPotential
+from contactvi.elements.forces import UserForce, UserPotential
 from contactvi.errors import (
     ConstraintError,
     DerivativeError,
@@ -28,7 +28,6 @@ from contactvi.inputs import short
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
-from contactvi.scene.element_rows import SpringRow
 from contactvi.scene.scene import Scene
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ constexpr double kChord = 3.0;
 constexpr double kFinest = 0x1p-16;
 constexpr double kSmooth = 0.125;  // parts of a cell that are cut further even if a root is seen in them
 constexpr int kMostProbes = 60;    // exact partial steps to one switch
-constexpr double kFarOff = 4.0;    // widths of a part of a step: roots on the path are not farther from the polynomial's
+constexpr double kFarOff = 4.0;  // widths of a part of a step: roots on the path are not farther from the polynomial's
 // Where a function that is zero at the start of a step is looked at first, and by how much further each time.
 constexpr double kFirstLook = 0x1p-30, kFurther = 8.0;
 

@@ -117,9 +117,7 @@ void Actuation::set_drive(int d, Drive drive) {
   }
 }
 
-bool Actuation::is_any(Drive drive) const {
-  return std::find(drive_.begin(), drive_.end(), drive) != drive_.end();
-}
+bool Actuation::is_any(Drive drive) const { return std::find(drive_.begin(), drive_.end(), drive) != drive_.end(); }
 
 bool Actuation::is_any_limited() const {
   const Servo& servo = state_->servo;

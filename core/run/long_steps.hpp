@@ -13,8 +13,8 @@ namespace contactvi {
 // What the energy of a motion is compared with. A value: part of the state of a run.
 struct EnergyWatch {
   bool known = false;
-  double start = 0.0;   // energy less the work done, where it was first looked at after the last impact [J]
-  double scale = 0.0;   // the largest kinetic energy, or change of the potential one in a step, that was seen [J]
+  double start = 0.0;  // energy less the work done, where it was first looked at after the last impact [J]
+  double scale = 0.0;  // the largest kinetic energy, or change of the potential one in a step, that was seen [J]
 };
 
 class LongSteps {

@@ -104,9 +104,11 @@ void fields(Archive& a, DensePhase& x) {
 template <class Archive>
 void fields(Archive& a, RunState& x) {
   auto& [start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
-         initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest] = x;
+         initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds,
+         deepest] = x;
   values(a, start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
-         initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds, deepest);
+         initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds,
+         deepest);
 }
 
 template <class Archive>

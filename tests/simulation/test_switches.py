@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import warnings
 
 import numpy as np
@@ -30,7 +29,7 @@ ROPES = {
 def check_order(run, exact: float | np.ndarray, order: int, steps: tuple[int, ...]) -> None:
     """Errors of runs with these numbers of steps fall with the order, down to those of the oracle.
 
-    Where in their steps the kinks lie changes with their number, and the error with it: .3 of the order is left to that.
+    Where in their steps the kinks lie changes with their number, and the error with it: that may take .3 of the order.
     """
     errors = [float(np.abs(run(n) - exact).max()) for n in steps]
     assert errors[-1] <= {2: 2e-5, 4: 2e-8}.get(order, ORACLE)

@@ -72,7 +72,7 @@ def test_ropes(damping):
     x, v = np.array([0.1, 0.0, -0.5]), np.array([0.3, 0.2, 0.0])
     scene = ball_on_ropes(x, [Rope(np.zeros(3), 200.0, 0.7, damping=damping)])
 
-    def run(change=np.zeros(3), **options):
+    def run(change=0.0, **options):
         return cvi.simulate(scene, None, at_speed(scene, v + change), 1.0, dt=0.02, order=8, **options)
 
     traj = run(record="gradient")
