@@ -303,13 +303,19 @@ def hinged_bars(lengths: Sequence[float], masses: Sequence[float], inertias: Seq
 
 
 def slider_crank(lengths: Sequence[float], masses: Sequence[float], speed: float) -> Scene:
-    """Crank and rod, uniform bars, the rod's end on a slider on the x axis; the crank turns at `speed` [rad/s]."""
+    """The slider-crank whose crank turns at `speed` [rad/s]."""
+    scene = free_slider_crank(lengths, masses)
+    scene.prescribe("bar_1", lambda t: (speed * t, speed, 0.0), name="motion")
+    return scene
+
+
+def free_slider_crank(lengths: Sequence[float], masses: Sequence[float]) -> Scene:
+    """Crank and rod, uniform bars, the rod's end on a slider on the x axis."""
     model, _ = hinged_bars(lengths, masses[:2], [m * x * x / 12.0 for m, x in zip(masses, lengths, strict=False)])
     joint = model.addJoint(0, pin.JointModelPX(), place(), "slide")
     model.appendBodyToJoint(joint, pin.Inertia(masses[2], np.zeros(3), np.eye(3)), place())
     scene = Scene.from_pinocchio(model)
     scene.add_point("slide", "bar_2", point_b=(lengths[1], 0.0, 0.0), name="pin")
-    scene.prescribe("bar_1", lambda t: (speed * t, speed, 0.0), name="motion")
     return scene
 
 

@@ -5,6 +5,7 @@
 
 #include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
+#include "model/coupling.hpp"
 #include "step/ball_chart.hpp"
 
 namespace contactvi {
@@ -245,6 +246,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
   reduction_.complete(none_, last);
   lambda_.col(stages_) = last;
   p1 += end.W * last;
+  fold_momentum(*tree_, p1);
   v1_ += moved * last;
   sum_ = lambda_.rowwise().sum();
   work_ = mean_work_ = 0.0;
