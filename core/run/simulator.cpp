@@ -363,8 +363,9 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     control.halve_free(h);
     return true;
   }
-  // Adaptive steps are as short as their stages need.
-  if (truncation_.bound == 0.0 && !last_try &&
+  // Adaptive steps are as short as their stages need; an implicit map has its own energy, and an impulse for the whole
+  // step.
+  if (truncation_.bound == 0.0 && !last_try && !law_->implicit() &&
       long_steps_.may_be_long(integrator_.stage_velocities(), integrator_.padded_stages(), h) &&
       long_steps_.is_long(integrator_, h) && !energy_is_kept()) {
     integrator_.forget();
