@@ -17,6 +17,7 @@ constexpr double kRedundant = 1e-10;
 // conditions at s nodes multiply it by up to about s^2.
 constexpr double kRounding = 1e-15;
 constexpr double kTurns = 1e-15;    // [rad] to which the charts of spherical joints belong to their velocities
+constexpr double kIndependent = 1e-7;  // relative pivot above which no such row is looked for
 constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which a row is rounding
 }  // namespace
 
@@ -183,9 +184,34 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
     const double mobility = own[column % rows_];
     scale_[column] = mobility > zero ? 1.0 / std::sqrt(mobility) : 0.0;
   }
-  matrix_ = scale_.asDiagonal() * matrix_ * scale_.asDiagonal();
+  matrix_ = scale_.asDiagonal() * matrix_ * scale_.asDiagonal() / h_;
+  factor_matrix();
+}
+
+// Rows that do nothing are left out. The others depend on each other seldom enough for the cheaper factor to be tried
+// first.
+void StageConstraints::factor_matrix() {
+  used_.clear();
+  for (int k = 0; k < scale_.size(); ++k)
+    if (scale_[k] > 0.0) used_.push_back(k);
+  used_matrix_ = matrix_(used_, used_);
+  redundant_ = false;
+  if (used_.empty()) return;
+  lu_.compute(used_matrix_);
+  const auto pivots = lu_.matrixLU().diagonal().cwiseAbs();
+  redundant_ = !(pivots.minCoeff() > kIndependent * pivots.maxCoeff());
+  if (!redundant_) return;
   factor_.setThreshold(kRedundant);
-  factor_.compute(matrix_ / h_);
+  factor_.compute(used_matrix_);
+}
+
+// Sets the change of the impulses that takes the residuals away.
+void StageConstraints::solve_impulses() {
+  change_.setZero(residual_.size());
+  if (used_.empty()) return;
+  const VecX right = -(scale_.cwiseProduct(residual_) / h_)(used_);
+  change_(used_) = redundant_ ? VecX(factor_.solve(right)) : VecX(lu_.solve(right));
+  change_.array() *= scale_.array();
 }
 
 void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
@@ -197,7 +223,7 @@ void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
   residual_.resize(count);
   move_rows(changed_.data(), S, residual_);
   for (int k = 1; k <= stages_; ++k) residual_.segment((k - 1) * rows_, rows_) += nodes_[k].phi;
-  change_ = -scale_.cwiseProduct(factor_.solve(VecX(scale_.cwiseProduct(residual_) / h_)));
+  solve_impulses();
   for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
   add_impulses();
   // With the impulses' change k of the momenta the correction is D^-1 (r + k), its energy r.dv + 2 k.dv + k.D^-1 k.

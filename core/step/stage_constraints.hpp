@@ -13,6 +13,7 @@
 // Numer. Anal. 45 (2007).
 #pragma once
 
+#include <Eigen/LU>
 #include <Eigen/QR>
 #include <vector>
 
@@ -71,6 +72,8 @@ class StageConstraints {
   void place(Node& node);
   void add_impulses();
   void make_matrix(Stages& stages, StiffTerms& stiff);
+  void factor_matrix();
+  void solve_impulses();
   void to_stages(const Stages& stages, bool transposed, double* x) const;
   void move_rows(const double* x, int S, VecRef moved);
 
@@ -87,7 +90,10 @@ class StageConstraints {
   std::vector<AlignedArray> given_, moved_;
   AlignedArray kept_, changed_;
   VecX scale_, residual_, change_;
-  MatX matrix_;
+  MatX matrix_, used_matrix_;
+  std::vector<int> used_;  // rows of the matrix that do something
+  bool redundant_ = false;
+  Eigen::PartialPivLU<MatX> lu_;
   Eigen::CompleteOrthogonalDecomposition<MatX> factor_;
   Reduction reduction_;
   MatX MinvW_;
