@@ -1,11 +1,11 @@
-"""Closed linkages: run time against error, contactvi with loops as constraints and SciPy's DOP853 in reduced coordinates.
+"""Closed linkages: time against error, contactvi with loops as constraints and SciPy's DOP853 in reduced coordinates.
 
     python benchmarks/linkages.py [--repeat 5] [--orders]
 
-The reduced coordinate of a linkage with one motion is the angle of its crank (tests/oracles/four_bar.py): the equations
-that a person derives by hand, without any loop. Each method is run with its own tolerance 1e-3, 1e-4, ... 1e-12, and the
-cheapest run counts whose error of the crank's angle over all nodes is below the one asked for. The reference is DOP853 at
-1e-13. Times are the least of some repetitions, of the call alone.
+The reduced coordinate of a linkage with one motion is the angle of its crank (tests/oracles/four_bar.py): the equation
+that a person derives by hand, without any loop. Each method is run with its own tolerance 1e-3, 1e-4, ... 1e-12, and
+the cheapest run counts whose error of the crank's angle over all nodes is below the one asked for. The reference is
+DOP853 at 1e-13. Times are the least of some repetitions, of the call alone.
 
 --orders: the error at the end for steps of one length, and the observed order.
 """
@@ -123,10 +123,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def of_four_bar(phi: float, rate: float) -> float:
         return four_bar.acceleration(bars, phi, rate)
 
+    slider, stretched = systems.free_slider_crank(SLIDER_CRANK, MASSES), np.array([0.0, 0.0, sum(SLIDER_CRANK)])
     linkages = (
         ("four-bar", systems.four_bar(), systems.four_bar_angles(0.3), of_four_bar, 2.0),
-        ("slider-crank", systems.free_slider_crank(SLIDER_CRANK, MASSES), np.array([0.0, 0.0, sum(SLIDER_CRANK)]), slider_crank_acceleration, 20.0),
-    )  # fmt: skip
+        ("slider-crank", slider, stretched, slider_crank_acceleration, 20.0),
+    )
     if chosen.orders:
         for name, scene, q, accelerate, rate in linkages:
             print(f"{name}\n\n| order | errors of the crank's angle [rad] | observed order |\n|---|---|---|")

@@ -2,8 +2,8 @@
 // 0 = d_0 < d_1 < ... < d_s = 1, the zeros of the derivative of the Legendre polynomial P_s and both ends.
 //
 // Jay, "Specialized partitioned additive Runge-Kutta methods for systems of overdetermined DAEs with holonomic
-// constraints", SIAM J. Numer. Anal. 45 (2007): an impulse at node k adds the share 1 - to_node[k][i] / b_i of itself to
-// the momentum of stage i, which makes the step symplectic.
+// constraints", SIAM J. Numer. Anal. 45 (2007): an impulse at node k adds the share 1 - to_node[k][i] / b_i of itself
+// to the momentum of stage i, which makes the step symplectic.
 #pragma once
 
 #include "base/gauss.hpp"

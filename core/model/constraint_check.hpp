@@ -17,8 +17,8 @@ struct ConstraintErrors {
 int find_violated(const Elements& elements, const ConstraintErrors& errors);
 
 // The constraint whose prescribed motion jumps in a step of length h, so that its joint or body has moved otherwise
-// than the rates d phi/dt tell; -1: none. moved: W^T v of the step's motion, (m,); rates: at some instants of it, (m, n),
-// whose weights (n,) are those of a quadrature.
+// than the rates d phi/dt tell; -1: none. moved: W^T v of the step's motion, (m,); rates: at some instants of it,
+// (m, n), whose weights (n,) are those of a quadrature.
 int find_jump(const Elements& elements, const VecX& moved, const MatX& rates, const VecX& weights, double h);
 // With the rates at both ends.
 int find_jump(const Elements& elements, const VecX& moved, const VecX& rate0, const VecX& rate1, double h);

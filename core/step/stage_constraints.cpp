@@ -16,9 +16,9 @@ constexpr double kRedundant = 1e-10;
 // Of the coordinates, and 1 m or rad: by which residuals of constraints are off. A step divides it by its length, and
 // conditions at s nodes multiply it by up to about s^2.
 constexpr double kRounding = 1e-15;
-constexpr double kTurns = 1e-15;    // [rad] to which the charts of spherical joints belong to their velocities
+constexpr double kTurns = 1e-15;       // [rad] to which the charts of spherical joints belong to their velocities
 constexpr double kIndependent = 1e-7;  // relative pivot above which no such row is looked for
-constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which a row is rounding
+constexpr double kZeroRow = 1e-20;     // share of the largest diagonal below which a row is rounding
 }  // namespace
 
 StageConstraints::Node::Node(const Tree& tree)
@@ -249,10 +249,16 @@ void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
 }
 
 void StageConstraints::give_up() {
-  const Node& end = nodes_[stages_];
-  if (end.phi.allFinite())
-    violated_ =
-        find_violated(tree_->elements, {nodes_[0].phi, end.phi, VecX::Zero(rows_), constraint_reach(end.q), 1.0, 0.0});
+  const VecX& phi = nodes_[stages_].phi;
+  if (!phi.allFinite()) return;
+  double worst = 0.0;
+  for (std::size_t i = 0; i < tree_->elements.constraints.size(); ++i) {
+    const Constraint& c = tree_->elements.constraints[i];
+    const double off = phi.segment(c.row, c.rows).norm();
+    if (off <= worst) continue;
+    worst = off;
+    violated_ = static_cast<int>(i);
+  }
 }
 
 bool StageConstraints::close(StepEquations& equations, const Stages& stages, const VecCRef& q1, VecRef p1) {

@@ -1,5 +1,5 @@
-// Constraints phi(q, t) = 0 in a step of order 2s: impulses at its Lobatto nodes (base/lobatto.hpp) keep the configuration
-// on them at these nodes and, at the end, the velocity.
+// Constraints phi(q, t) = 0 in a step of order 2s: impulses at its Lobatto nodes (base/lobatto.hpp) keep the
+// configuration on them at these nodes and, at the end, the velocity.
 //
 // With X_k the displacement at node k, W_k the gradients there and Lambda_k the impulses along them,
 //   P_i = p0 + h sum_j a_ij G_j + sum_k share_ik W_k Lambda_k,       phi(q0 (+) X_k, t0 + d_k h) = 0,  k = 1 .. s,
@@ -45,7 +45,8 @@ class StageConstraints {
 
   // Energy of the corrections that rounding of the residuals makes [J].
   double rounding() const { return rounding_; }
-  // Of a step that was not solved: looks which constraint its iterations were farthest from.
+  // Of a step that was not solved: looks which constraint its iterations were farthest from. Where even the shortest
+  // step is not solved that is the reason: without constraints it is.
   void give_up();
   // The constraint that the last step could not satisfy, -1: none.
   int violated() const { return violated_; }

@@ -54,7 +54,8 @@ class Stages {
   std::pair<double, double> shares(int i) const;
   // Whether there are forces that evaluate() does not know in the step that began.
   bool has_extra_forces() const { return work_.extra != nullptr; }
-  // Impulses that the stages receive besides it, over dofs and stages, in the charts of spherical joints; at first zero.
+  // Impulses that the stages receive besides it, over dofs and stages, in the charts of spherical joints; at first
+  // zero.
   double* impulse();
   // Replaces the start momentum of the step that began.
   void start_from(const VecCRef& p0);

@@ -1,7 +1,7 @@
 """A four-bar linkage in its one coordinate, the angle of the crank: the reference for loops as constraints.
 
-The angles of the bars follow from the crank's by two triangles, and their derivatives by it, r and then s, from those of
-the loop sum_k l_k e(theta_k) = const. With the places c_k(phi) of the mass centres of uniform bars,
+The angles of the bars follow from the crank's by two triangles, and their derivatives by it, r and then s, from those
+of the loop sum_k l_k e(theta_k) = const. With the places c_k(phi) of the mass centres of uniform bars,
 
     sum_k m_k c_k' . (c_k' phi'' + c_k'' phi'^2) + I_k r_k (r_k phi'' + s_k phi'^2) = -V',
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from oracles import four_bar as reference
 
 import contactvi as cvi
 from contactvi.verify import systems
+from oracles import four_bar as reference
 
 BARS = systems.FOUR_BAR
 SIZES = {"upper": ((0.1, 0.12, 0.6), 1.0), "lower": ((0.1, 0.08, 0.5), 0.7)}
@@ -21,7 +21,7 @@ def four_bar_start(scene: cvi.Scene, crank: float = 0.3, rate: float = 2.0) -> t
 
 
 def hung_boxes() -> tuple[cvi.Scene, np.ndarray, np.ndarray]:
-    """Two free boxes, the first joined to the world and the second to the first by points: a spherical double pendulum."""
+    """Two free boxes on points, one below the other: a spherical double pendulum."""
     scene = cvi.Scene()
     for (name, (size, mass)), height in zip(SIZES.items(), (-0.3, -0.85), strict=True):
         scene.add_box(name, size, mass, placement=(0, 0, height))
@@ -75,6 +75,34 @@ def test_spherical_double_pendulum_has_the_order(order, steps):
         errors.append(np.abs(traj.q[-1, 7:10] - place).max())
     assert np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0]) > order - 0.3 or errors[1] < 1e-12
     assert errors[1] < 1e-6
+
+
+def geared_four_bars() -> cvi.Scene:
+    """Two four-bars whose cranks are coupled one to one."""
+    model, bars = systems.empty_model(systems.GRAVITY), BARS[:3]
+    for side in "ab":
+        joint, at = 0, 0.0
+        for k, length in enumerate(bars):
+            joint = model.addJoint(joint, systems.hinge(), systems.place(at), f"{side}{k}")
+            inertia = pin.Inertia(length, np.array([0.5 * length, 0.0, 0.0]), length**3 / 12.0 * np.eye(3))
+            model.appendBodyToJoint(joint, inertia, systems.place())
+            at = length
+    scene = cvi.Scene.from_pinocchio(model)
+    for side in "ab":
+        scene.add_point("world", f"{side}2", (BARS[3], 0.0, 0.0), (BARS[2], 0.0, 0.0))
+    scene.add_joint_equality("b0", "a0", (0.0, 1.0))
+    return scene
+
+
+@pytest.mark.parametrize("order", [4, 8, 16])
+def test_loops_of_coupled_joints(order):
+    """Two equal four-bars with one crank move as one of them does."""
+    both, one = geared_four_bars(), systems.four_bar()
+    q, v = four_bar_start(one)
+    alone = cvi.simulate(one, q, v, duration=0.5, dt=0.02, order=order, tol=1e-14)
+    geared = cvi.simulate(both, np.tile(q, 2), np.tile(v, 2), duration=0.5, dt=0.02, order=order, tol=1e-14)
+    assert geared.q[:, :3] == pytest.approx(alone.q, abs=1e-12)
+    assert geared.q[:, 3:] == pytest.approx(alone.q, abs=1e-12)
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8, 1e-10])
