@@ -3,8 +3,8 @@
 #include <cmath>
 #include <limits>
 
-#include "model/constraint_check.hpp"
 #include "contact/contact_step.hpp"
+#include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
 
 namespace contactvi {

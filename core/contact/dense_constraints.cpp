@@ -1,6 +1,6 @@
 // DenseStep: constraints, as equations beside the laws of contact.
-#include "model/constraint_check.hpp"
 #include "contact/dense_step.hpp"
+#include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
 #include "model/coupling.hpp"
 #include "step/path.hpp"
