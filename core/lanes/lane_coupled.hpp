@@ -67,8 +67,8 @@ template <class V>
 struct StageArray {
   const Group<V>* g;
   double* array;
-  V at(int dof) const { return g->at(array, dof); }
-  void put(int dof, V x) const { g->put(array, dof, x); }
+  LANE_INLINE V at(int dof) const { return g->at(array, dof); }
+  LANE_INLINE void put(int dof, V x) const { g->put(array, dof, x); }
 };
 
 // The factor of coupled joints, [(follower * nv + dof) * S + stage] and so on.
@@ -76,15 +76,15 @@ template <class V>
 struct StageCoupled {
   const Group<V>* g;
   double* rows;
-  int count() const { return g->tree->followers; }
-  V U(int k, int dof) const { return g->at(rows, k * g->tree->nv + dof); }
-  double* column(int k) const { return rows + k * g->tree->nv * g->row(); }
-  V scaled(int k, int dof) const { return g->at(rows, (count() + k) * g->tree->nv + dof); }
-  void put_scaled(int k, int dof, V x) const { g->put(rows, (count() + k) * g->tree->nv + dof, x); }
-  V inverse(int k, int j) const { return g->at(rows, count() * (2 * g->tree->nv + k) + j); }
-  void put_inverse(int k, int j, V x) const { g->put(rows, count() * (2 * g->tree->nv + k) + j, x); }
-  void store(int k, V x) const { g->put(rows, count() * (2 * g->tree->nv + count()) + k, x); }
-  V stored(int k) const { return g->at(rows, count() * (2 * g->tree->nv + count()) + k); }
+  LANE_INLINE int count() const { return g->tree->followers; }
+  LANE_INLINE V U(int k, int dof) const { return g->at(rows, k * g->tree->nv + dof); }
+  LANE_INLINE double* column(int k) const { return rows + k * g->tree->nv * g->row(); }
+  LANE_INLINE V scaled(int k, int dof) const { return g->at(rows, (count() + k) * g->tree->nv + dof); }
+  LANE_INLINE void put_scaled(int k, int dof, V x) const { g->put(rows, (count() + k) * g->tree->nv + dof, x); }
+  LANE_INLINE V inverse(int k, int j) const { return g->at(rows, count() * (2 * g->tree->nv + k) + j); }
+  LANE_INLINE void put_inverse(int k, int j, V x) const { g->put(rows, count() * (2 * g->tree->nv + k) + j, x); }
+  LANE_INLINE void store(int k, V x) const { g->put(rows, count() * (2 * g->tree->nv + count()) + k, x); }
+  LANE_INLINE V stored(int k) const { return g->at(rows, count() * (2 * g->tree->nv + count()) + k); }
 };
 
 // Of the mass matrix; of Newton's matrix.
@@ -95,16 +95,21 @@ LANE_INLINE StageCoupled<V> coupled_factor(const Group<V>& g, bool newton) {
 
 template <class V>
 LANE_INLINE void fold_all(const Group<V>& g, double* array) {
-  for (int c = 0; c < g.tree->couplings; ++c) fold(*g.tree, c, StageArray<V>{&g, array});
+  const StageArray<V> a = {&g, array};
+  for (int c = 0; c < g.tree->couplings; ++c) fold(*g.tree, c, a);
 }
 template <class V>
 LANE_INLINE void follow_all(const Group<V>& g, double* array) {
-  for (int c = 0; c < g.tree->couplings; ++c) follow(*g.tree, c, StageArray<V>{&g, array});
+  const StageArray<V> a = {&g, array};
+  for (int c = 0; c < g.tree->couplings; ++c) follow(*g.tree, c, a);
 }
 template <class V>
 LANE_INLINE void couple_all(const Group<V>& g) {
-  for (int c = 0; c < g.tree->couplings; ++c)
-    couple(*g.tree, c, StageArray<V>{&g, g.work->dv}, coupled_factor(g, false));
+  for (int c = 0; c < g.tree->couplings; ++c) {
+    const StageArray<V> x = {&g, g.work->dv};
+    const StageCoupled<V> factor = coupled_factor(g, false);
+    couple(*g.tree, c, x, factor);
+  }
 }
 
 // dv <- S (S^T D S)^-1 S^T dv, D = M + diagonal; without coupled joints D^-1 dv.

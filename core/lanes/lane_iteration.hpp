@@ -158,6 +158,13 @@ inline void residuals(const G& g) {
   }
 }
 
+// Of a joint of one dof, by the factor.
+template <class G>
+LANE_INLINE typename G::Lanes inverse_inertia(const G& g, int joint) {
+  const LaneJoint& j = g.tree->joint[joint];
+  return g.storage[j.at + j.velocity + 9 + 6];
+}
+
 // Energies of the impulses of the single forces, sum (h |force|)^2 / D: what differs by less is rounding, not motion.
 template <class G>
 inline void measure_impulses(const G& g) {
@@ -175,18 +182,14 @@ inline void measure_impulses(const G& g) {
     }
   }
   // A leader has the forces and the inertia of its followers, too.
-  const auto inverse = [&](int joint) {
-    const LaneJoint& j = g.tree->joint[joint];
-    return g.storage[j.at + j.velocity + 9 + 6];
-  };
   for (int i = 0; i < g.tree->leaders; ++i) {
     const LaneLeader& leader = g.tree->leader[i];
-    V size = g.at(g.work->magnitude, leader.dof), inertia = 1.0 / inverse(leader.joint);
+    V size = g.at(g.work->magnitude, leader.dof), inertia = 1.0 / inverse_inertia(g, leader.joint);
     for (int t = leader.first; t < leader.first + leader.count; ++t) {
       const LaneTerm& term = g.tree->term[t];
       const double ratio = term.ratio < 0.0 ? -term.ratio : term.ratio;
       size = size + ratio * g.at(g.work->magnitude, term.dof);
-      inertia = inertia + ratio * ratio / inverse(term.joint);
+      inertia = inertia + ratio * ratio / inverse_inertia(g, term.joint);
     }
     const V impulse = g.length() * size;
     sum = sum + impulse * impulse / inertia;
@@ -235,7 +238,10 @@ template <class V, class Make>
 LANE_INLINE void iterate_groups(const LaneTree* tree, const LaneWork* work, int flags, Make make) {
   const int count = groups<V>(work);
   if (tree->couplings > 0)
-    for (int k = 0; k < count; ++k) follow_all(group<V>(tree, work, k), work->v);
+    for (int k = 0; k < count; ++k) {
+      const auto g = make(k);
+      follow_all(g, work->v);
+    }
   if (tree->balls > 0) {
     // X' depends on X: iterated once more, so that its error does not slow down the iterations on v.
     rates<V>(tree, work);

@@ -87,7 +87,9 @@ struct LaneTree {
 };
 
 // Numbers per stage that a factor of coupled joints takes (lane_coupled.hpp).
-constexpr int coupled_rows(const LaneTree& tree) { return tree.followers * (2 * tree.nv + tree.followers + 1); }
+static constexpr int coupled_rows(const LaneTree& tree) noexcept {
+  return tree.followers * (2 * tree.nv + tree.followers + 1);
+}
 
 struct LaneWork {
   int s, S;
