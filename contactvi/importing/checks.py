@@ -276,7 +276,8 @@ def _least_inertia(
     led = {int(model.idx_vs[f.joint]) for f in followers}
     left = [dof for dof in range(model.nv) if dof not in led]
     with np.errstate(divide="ignore"):
-        return 1.0 / (S**2 @ (1.0 / diagonal)), least, left[worst]
+        shares = np.divide(S**2, diagonal, out=np.zeros_like(S), where=S != 0.0)
+        return 1.0 / shares.sum(axis=1), least, left[worst]
 
 
 def _least_of(mass: np.ndarray, enough: float) -> tuple[np.ndarray, float, int]:

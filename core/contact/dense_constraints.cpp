@@ -50,19 +50,6 @@ VecX DenseStep::multipliers(const VecX& dv, const VecX& lambda) const {
   return solver_.multipliers(p);
 }
 
-// p <- with the impulses of the constraints that close their rates at the end q1_.
-void DenseStep::close_rates(VecX& p) {
-  MatX X = end_.W;
-  work_ = p;
-  integrator_.place_node(q1_);
-  integrator_.solve_masses(X);
-  integrator_.solve_mass(work_);
-  reduction_.set(end_.W.transpose() * X, static_cast<int>(end_.mu.size()));
-  reduction_.right_side(end_.W.transpose() * work_ + end_.rate);
-  reduction_.complete(VecX(), end_.mu);
-  p += end_.whole * end_.mu;
-}
-
 // The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
 double DenseStep::driven_work() const { return -start_.mu.dot(start_.rate) - end_.mu.dot(end_.rate); }
 

@@ -6,6 +6,7 @@
 #include "base/tolerances.hpp"
 #include "contact/dense_energy.hpp"
 #include "step/path.hpp"
+#include "step/projection.hpp"
 
 namespace contactvi {
 
@@ -469,7 +470,10 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   const Energy before = energy(integrator_, q0, p0, v0_);
   integrator_.set_start_momentum(p_start_);
   integrator_.finish(q1_, p1_);
-  if (constrained()) close_rates(p1_);
+  if (constrained()) {
+    integrator_.place_node(q1_);
+    close_rates(integrator_, reduction_, end_.whole, end_.rate, p1_, work_, end_.mu);
+  }
   const Energy free = energy(integrator_, q1_, p1_);
   const double smooth_error = std::abs(total(free) - total(before) - integrator_.work() - driven_work());
   if (recorder_) recorder_->take_masses(rows_.problem());

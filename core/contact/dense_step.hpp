@@ -126,7 +126,6 @@ class DenseStep {
   void evaluate(const VecX& q, double t, Constraints& node);
   double hold_constraints();
   void set_start_momentum();
-  void close_rates(VecX& p);
   double take_reactions();
   bool constraints_met();
   VecX momentum(const VecX& v) const;

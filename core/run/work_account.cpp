@@ -22,27 +22,32 @@ void WorkAccount::start(double t, const Tree& tree, const VecX& p, bool does_wor
   tally_.node_time = t;
 }
 
-WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) {
+WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) const {
   if (!tally_.does_work) return {};
-  const StageConstraints* constraints = integrator.constraints();
-  if (constraints) seen_ = constraints->impulses();
-  return {integrator.input_work(), integrator.damping_loss(), constraints ? constraints->work() : 0.0,
-          integrator.coupled_impulses()};
+  FreeWork work{integrator.input_work(), integrator.damping_loss(), 0.0};
+  if (tally_.reactions.size() == 0) return work;
+  const VecX coupled = integrator.coupled_impulses();
+  work.reactions.setZero(tally_.reactions.size());
+  work.reactions.tail(coupled.size()) = coupled;
+  if (const StageConstraints* constraints = integrator.constraints()) {
+    work.driven = constraints->work();
+    work.reactions.head(constraints->impulses().size()) = constraints->impulses();
+  }
+  return work;
 }
 
 void WorkAccount::add(const FreeWork& work) {
   tally_.input += work.input;
   tally_.damping += work.damping;
   tally_.driven += work.driven;
-  if (seen_.size() > 0) tally_.reactions.head(seen_.size()) += seen_;
-  tally_.reactions.tail(work.coupled.size()) += work.coupled;
+  add_reactions(work.reactions);
 }
 
 void WorkAccount::add(const FreeWork& work, const std::vector<int>& rows) {
   tally_.input += work.input;
   tally_.damping += work.damping;
-  const std::size_t first = rows.size() - work.coupled.size();  // constraints come first
-  for (Eigen::Index k = 0; k < work.coupled.size(); ++k) tally_.reactions[rows[first + k]] += work.coupled[k];
+  tally_.driven += work.driven;
+  for (Eigen::Index k = 0; k < work.reactions.size(); ++k) tally_.reactions[rows[k]] += work.reactions[k];
 }
 
 void WorkAccount::add(const ContactStep& step) {

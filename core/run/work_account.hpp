@@ -33,9 +33,9 @@ class WorkAccount {
   // Works of one smooth step [J], taken before the integrator solves another one.
   struct FreeWork {
     double input = 0, damping = 0, driven = 0;
-    VecX coupled = {};  // impulses on followers
+    VecX reactions = {};  // as of WorkTally; empty: none
   };
-  FreeWork of(const Integrator& integrator);
+  FreeWork of(const Integrator& integrator) const;
   void add(const FreeWork& work);
   // Of a part of the scene; rows: its reactions in this account's numbers.
   void add(const FreeWork& work, const std::vector<int>& rows);
@@ -55,7 +55,6 @@ class WorkAccount {
   void add_reactions(const VecX& impulses);
 
   WorkTally tally_;
-  VecX seen_;  // impulses of the constraints in the step that of() was last asked for; empty: none
 };
 
 }  // namespace contactvi

@@ -69,7 +69,7 @@ bool Integrator::solve_stages() {
     if (constraints_) constraints_->correct(stages_, stiff_, (flags & kLaneFactor) != 0);
     judge_iteration();
     if (exceeds_truncation()) return false;
-    if (iteration_.accelerates() && !constraints_) accelerate();
+    if (iteration_.accelerates()) accelerate();
   }
   residual_ = iteration_.error();
   if (iteration_.converged()) newton_ = iteration_.newton();

@@ -1,8 +1,9 @@
 #include "step/node_lanes.hpp"
-#include "model/coupling.hpp"
 
 #include <algorithm>
 #include <limits>
+
+#include "model/coupling.hpp"
 
 namespace contactvi {
 
@@ -11,14 +12,19 @@ void put_node(const VecCRef& q, const VecCRef& p, Stages& node) {
   for (Eigen::Index d = 0; d < p.size(); ++d) node.dv()[d] = p[d];
 }
 
-bool get_velocity(const Stages& node, const VecCRef& momentum, VecRef v) {
-  VecX p = momentum;
-  fold_momentum(node.tree(), p);  // as StepEquations::node_velocity
+bool get_velocity(const Stages& node, const VecCRef& p, VecRef v) {
+  if (!node.tree().followers.empty()) {
+    // Not with what acts between coupled joints, whose rounding may be more than the energy.
+    VecX folded = p;
+    fold_momentum(node.tree(), folded);
+    v = Eigen::Map<const VecX>(node.dv(), p.size());
+    return v.dot(folded) >= 0.0;
+  }
   double energy = 0.0;
   for (Eigen::Index d = 0; d < p.size(); ++d) {
     const double speed = node.dv()[d];
     energy += speed * p[d];
-    v[d] = speed;  // which may stand in the place of the momentum
+    v[d] = speed;  // which may stand in the place of p
   }
   return energy >= 0.0;  // false for NaN
 }

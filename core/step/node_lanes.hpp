@@ -11,7 +11,7 @@ namespace contactvi {
 
 // A state, as the kernel takes it: before and after StageLanes::solve_masses.
 void put_node(const VecCRef& q, const VecCRef& p, Stages& node);
-bool get_velocity(const Stages& node, const VecCRef& momentum, VecRef v);  // false if M is not positive
+bool get_velocity(const Stages& node, const VecCRef& p, VecRef v);  // false if M is not positive
 
 // Of many states, as many at a time as there are lanes.
 class NodeLanes {

@@ -2,6 +2,21 @@
 
 namespace contactvi {
 
+void close_rates(StepEquations& equations, Reduction& reduction, const MatX& W, const VecX& rate, VecRef p, VecX& v,
+                 VecRef mu) {
+  const Eigen::Index rows = W.cols();
+  MatX X(p.size(), rows + 1);
+  X << W, p;
+  equations.solve_masses(X);
+  const auto moved = X.leftCols(rows);
+  v = X.col(rows);
+  reduction.set(W.transpose() * moved, static_cast<int>(rows));
+  reduction.right_side(W.transpose() * v + rate);
+  reduction.complete(VecX(), mu);
+  p += W * mu;
+  v += moved * mu;
+}
+
 Projection::Projection(const Tree& tree)
     : tree_(&tree),
       rows_(tree.elements.constraint_rows),

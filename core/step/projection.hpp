@@ -11,6 +11,11 @@
 
 namespace contactvi {
 
+// Closes the rates of constraints with gradients W (nv, m): finds the impulses mu (m,) with
+// W^T M^-1 (p + W mu) + rate = 0, adds them to p, and sets v = M^-1 p. The node of `equations` must be placed there.
+void close_rates(StepEquations& equations, Reduction& reduction, const MatX& W, const VecX& rate, VecRef p, VecX& v,
+                 VecRef mu);
+
 class Projection {
  public:
   explicit Projection(const Tree& tree);

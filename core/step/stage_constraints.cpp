@@ -5,8 +5,8 @@
 
 #include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
-#include "model/coupling.hpp"
 #include "step/ball_chart.hpp"
+#include "step/projection.hpp"
 
 namespace contactvi {
 
@@ -110,18 +110,30 @@ void StageConstraints::add_impulses() {
   }
 }
 
-// On spherical joints, x (nv, S): from the chart's momentum at the stages to the momentum, or from velocities to those
-// in the chart (transposed).
-void StageConstraints::to_stages(const Stages& stages, bool transposed, double* x) const {
+// The charts of spherical joints where the stages are.
+void StageConstraints::set_charts(const Stages& stages) {
   const int S = stages.padded();
+  charts_.clear();
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
     for (int i = 0; i < S; ++i) {
-      const std::size_t at = static_cast<std::size_t>(joint.iv) * S + i;
-      const Vec3 X(stages.X()[at], stages.X()[at + S], stages.X()[at + 2 * S]), y(x[at], x[at + S], x[at + 2 * S]);
-      const Mat3 J = so3_right_jacobian_inverse(X);
-      const Vec3 z = transposed ? Vec3(J * y) : Vec3(J.transpose() * y);
-      for (int a = 0; a < 3; ++a) x[at + a * S] = z[a];
+      const double* X = stages.X() + static_cast<std::size_t>(joint.iv) * S + i;
+      charts_.push_back(so3_right_jacobian_inverse(Vec3(X[0], X[S], X[2 * S])));
+    }
+  }
+}
+
+// On spherical joints, x (nv, S): from the chart's momentum at the stages to the momentum, or from velocities to those
+// in the chart (transposed).
+void StageConstraints::to_stages(bool transposed, int S, double* x) const {
+  std::size_t chart = 0;
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    for (int i = 0; i < S; ++i) {
+      const Mat3& J = charts_[chart++];
+      double* at = x + static_cast<std::size_t>(joint.iv) * S + i;
+      const Vec3 y(at[0], at[S], at[2 * S]), z = transposed ? Vec3(J * y) : Vec3(J.transpose() * y);
+      for (int a = 0; a < 3; ++a) at[a * S] = z[a];
     }
   }
 }
@@ -153,7 +165,7 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
       const int column = l * rows_ + c;
       double* given = given_[column].data();
       for (int d = 0; d < nv; ++d) std::fill_n(given + static_cast<std::size_t>(d) * S, S, nodes_[l].chart(d, c));
-      to_stages(stages, false, given);
+      to_stages(false, S, given);
       std::copy_n(given, size, stages.dv());
       stages.solve();
       if (stiff.any()) stiff.correct_solution(stages, false);
@@ -163,7 +175,7 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
     for (int c = 0; c < rows_; ++c) {
       const int column = l * rows_ + c;
       std::copy_n(moved_[column].data(), size, changed_.data());
-      to_stages(stages, true, changed_.data());
+      to_stages(true, S, changed_.data());
       for (int d = 0; d < nv; ++d)
         for (int j = 0; j < stages_; ++j) changed_.data()[static_cast<std::size_t>(d) * S + j] *= table_->share[j][l];
       move_rows(changed_.data(), S, matrix_.col(column));
@@ -217,9 +229,10 @@ void StageConstraints::solve_impulses() {
 void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
   const int S = stages.padded(), nv = tree_->nv, count = rows_ * stages_;
   const std::size_t size = static_cast<std::size_t>(nv) * S;
+  set_charts(stages);
   if (factor || given_.empty()) make_matrix(stages, stiff);
   std::copy_n(stages.dv(), size, changed_.data());
-  to_stages(stages, true, changed_.data());
+  to_stages(true, S, changed_.data());
   residual_.resize(count);
   move_rows(changed_.data(), S, residual_);
   for (int k = 1; k <= stages_; ++k) residual_.segment((k - 1) * rows_, rows_) += nodes_[k].phi;
@@ -266,20 +279,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
   end.q = q1;
   place(end);
   equations.place_node(q1);
-  MinvW_.resize(p1.size(), rows_ + 1);
-  MinvW_ << end.W, p1;
-  equations.solve_masses(MinvW_);
-  v1_ = MinvW_.col(rows_);
-  const auto moved = MinvW_.leftCols(rows_);
-  reduction_.set(end.W.transpose() * moved, rows_);
-  reduction_.right_side(end.W.transpose() * v1_ + end.rate);
-  VecX last(rows_);
-  none_.resize(0);
-  reduction_.complete(none_, last);
-  lambda_.col(stages_) = last;
-  p1 += end.W * last;
-  fold_momentum(*tree_, p1);
-  v1_ += moved * last;
+  close_rates(equations, reduction_, end.W, end.rate, p1, v1_, lambda_.col(stages_));
   sum_ = lambda_.rowwise().sum();
   work_ = mean_work_ = 0.0;
   for (int k = 0; k <= stages_; ++k) {

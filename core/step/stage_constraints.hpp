@@ -75,7 +75,8 @@ class StageConstraints {
   void make_matrix(Stages& stages, StiffTerms& stiff);
   void factor_matrix();
   void solve_impulses();
-  void to_stages(const Stages& stages, bool transposed, double* x) const;
+  void set_charts(const Stages& stages);
+  void to_stages(bool transposed, int S, double* x) const;
   void move_rows(const double* x, int S, VecRef moved);
 
   const Tree* tree_;
@@ -90,6 +91,7 @@ class StageConstraints {
   // Per node k < s and row, all stages: what a unit impulse gives their momenta, and with D^-1 their velocities.
   std::vector<AlignedArray> given_, moved_;
   AlignedArray kept_, changed_;
+  std::vector<Mat3> charts_;  // inverse right Jacobians, of each spherical joint at each stage
   VecX scale_, residual_, change_;
   MatX matrix_, used_matrix_;
   std::vector<int> used_;  // rows of the matrix that do something
@@ -97,8 +99,7 @@ class StageConstraints {
   Eigen::PartialPivLU<MatX> lu_;
   Eigen::CompleteOrthogonalDecomposition<MatX> factor_;
   Reduction reduction_;
-  MatX MinvW_;
-  VecX forces_, sum_, v1_, none_;
+  VecX forces_, sum_, v1_;
   double work_ = 0.0, mean_work_ = 0.0;
   double rounding_ = 0.0;
   int violated_ = -1;

@@ -6,20 +6,11 @@
 
 #include "model/coupling.hpp"
 #include "step/ball_step.hpp"
+#include "step/node_lanes.hpp"
 
 namespace contactvi {
 
 namespace {
-
-// The velocity that a node was solved for. False if the mass matrix is not positive.
-bool get_velocity(const Stages& node, const VecCRef& p, VecRef v) {
-  double energy = 0.0;
-  for (Eigen::Index d = 0; d < p.size(); ++d) {
-    v[d] = node.dv()[d];
-    energy += v[d] * p[d];
-  }
-  return energy >= 0.0;  // false for NaN
-}
 
 // Whether every joint has as many numbers in q as in v: none is a quaternion or (cos, sin), and sums make its end.
 bool is_plain(const Tree& tree) { return tree.nq == tree.nv; }
@@ -236,7 +227,7 @@ VecX StepEquations::coupled_impulses() const {
   VecX found(static_cast<Eigen::Index>(tree_->followers.size()));
   for (Eigen::Index k = 0; k < found.size(); ++k) {
     const int dof = tree_->followers[k].iv;
-    found[k] = p0_[dof] + quadrature([&](int i) { return stages_.G()[dof * stages_.padded() + i]; });
+    found[k] = (*momentum_)[dof] + quadrature([&](int i) { return stages_.G()[dof * stages_.padded() + i]; });
   }
   return found;
 }
@@ -262,15 +253,8 @@ bool StepEquations::node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) 
   node_.place();
   node_.factor();
   for (int d = 0; d < tree_->nv; ++d) node_.dv()[d] = p[d];
-  if (tree_->followers.empty()) {
-    node_.solve();
-    return get_velocity(node_, p, v);
-  }
-  // Not with what acts between coupled joints, whose rounding may be more than the energy.
-  folded_ = p;
-  fold_momentum(*tree_, folded_);
   node_.solve();
-  return get_velocity(node_, folded_, v);
+  return get_velocity(node_, p, v);
 }
 
 void StepEquations::place_node(const VecCRef& q) {

@@ -116,7 +116,7 @@ class StepEquations {
   double quadrature(Value value) const;
 
   Placements placements_;
-  VecX q_stage_, folded_;
+  VecX q_stage_;
   MatX rates_, velocities_;
 };
 

@@ -128,7 +128,8 @@ def rest_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
 def effort_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     """Where only servos do work it is at most effort times displacement, in steps without impacts.
 
-    In a step in which a joint turns back its way is longer than the displacement, and nothing is said.
+    Where a joint turns back in a step its way is longer than the displacement, by twice the lesser of the ways there
+    and back, each of which is at most the speed at its end of the step over all of it.
     """
     kp, kd, effort = traj.scene.built().arrays.servo
     used = np.flatnonzero((kp > 0.0) | (kd > 0.0))
@@ -136,10 +137,11 @@ def effort_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     if not len(used) or others:
         return
     places = {j.idx_v: j.idx_q for j in traj.scene.model.joints[1:] if j.nv == 1}
-    way = np.abs(np.diff(traj.q[:, [places[d] for d in used]], axis=0)) @ effort[used]
+    v = traj.v[:, used]
+    back = np.where(v[1:] * v[:-1] < 0.0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0) * np.diff(traj.t)[:, None]
+    way = (np.abs(np.diff(traj.q[:, [places[d] for d in used]], axis=0)) + 2.0 * back) @ effort[used]
     smooth = ~np.isin(np.arange(len(way)), traj.events.array("step"))
     smooth &= ~np.isin(np.arange(len(way)), traj.contacts.array("step"))
-    smooth &= np.all(traj.v[1:, used] * traj.v[:-1, used] > 0.0, axis=1)
     excess = np.abs(np.diff(traj.work.input)) - way
     yield from worst("effort", excess[smooth], 1e-11 * (1.0 + np.abs(traj.energy).max()), traj.t[1:][smooth])
 

@@ -28,8 +28,8 @@ def angles(lengths: Sequence[float], phi: float) -> np.ndarray:
     return np.array([phi, first, last])
 
 
-def acceleration(lengths: Sequence[float], phi: float, rate: float) -> float:
-    """Return phi'' [rad/s^2] of bars of 1 kg/m."""
+def coefficients(lengths: Sequence[float], phi: float) -> tuple[float, float, float]:
+    """Return a, b, c with a phi'' + b phi'^2 + c = torque on the crank, of bars of 1 kg/m."""
     bars, theta = np.array(lengths[:3]), angles(lengths, phi)
     along = np.stack([np.cos(theta), np.sin(theta)])  # e and its derivative by the angle, (2, 3)
     across = np.stack([-np.sin(theta), np.cos(theta)])
@@ -45,7 +45,31 @@ def acceleration(lengths: Sequence[float], phi: float, rate: float) -> float:
         bent += length * centre1 @ centre2 + length**3 / 12.0 * r[k] * s[k]
         weight += length * GRAVITY * centre1[1]
         end1, end2 = end1 + step1, end2 + step2
-    return float(-(bent * rate**2 + weight) / inertia)
+    return float(inertia), float(bent), float(weight)
+
+
+def acceleration(lengths: Sequence[float], phi: float, rate: float) -> float:
+    """Return phi'' [rad/s^2] of bars of 1 kg/m."""
+    inertia, bent, weight = coefficients(lengths, phi)
+    return -(bent * rate**2 + weight) / inertia
+
+
+def geared(lengths: Sequence[float], phi: float, ahead: float, rate: float, times: np.ndarray) -> np.ndarray:
+    """Return phi and the impulse of the gear on the second linkage of two, (n, 2).
+
+    Their cranks turn together, that of the second one by `ahead` [rad] further than the first, at phi.
+    """
+
+    def right_side(_t: float, y: np.ndarray) -> list[float]:
+        first, second = (np.array(coefficients(lengths, angle)) for angle in (y[0], y[0] + ahead))
+        inertia, bent, weight = first + second
+        bend = -(bent * y[1] ** 2 + weight) / inertia
+        return [y[1], bend, second @ (bend, y[1] ** 2, 1.0)]
+
+    found = solve_ivp(
+        right_side, (times[0], times[-1]), [phi, rate, 0.0], method="DOP853", rtol=1e-13, atol=1e-14, t_eval=times
+    )
+    return np.asarray(found.y[[0, 2]].T)
 
 
 def motion(lengths: Sequence[float], phi: float, rate: float, times: np.ndarray) -> np.ndarray:

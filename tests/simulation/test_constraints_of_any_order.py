@@ -77,8 +77,8 @@ def test_spherical_double_pendulum_has_the_order(order, steps):
     assert errors[1] < 1e-6
 
 
-def geared_four_bars() -> cvi.Scene:
-    """Two four-bars whose cranks are coupled one to one."""
+def geared_four_bars(ahead: float = 0.0) -> cvi.Scene:
+    """Two four-bars whose cranks are coupled one to one, the second one by an angle [rad] ahead of the first."""
     model, bars = systems.empty_model(systems.GRAVITY), BARS[:3]
     for side in "ab":
         joint, at = 0, 0.0
@@ -90,7 +90,7 @@ def geared_four_bars() -> cvi.Scene:
     scene = cvi.Scene.from_pinocchio(model)
     for side in "ab":
         scene.add_point("world", f"{side}2", (BARS[3], 0.0, 0.0), (BARS[2], 0.0, 0.0))
-    scene.add_joint_equality("b0", "a0", (0.0, 1.0))
+    scene.add_joint_equality("b0", "a0", (ahead, 1.0), name="gear")
     return scene
 
 
@@ -103,6 +103,20 @@ def test_loops_of_coupled_joints(order):
     geared = cvi.simulate(both, np.tile(q, 2), np.tile(v, 2), duration=0.5, dt=0.02, order=order, tol=1e-14)
     assert geared.q[:, :3] == pytest.approx(alone.q, abs=1e-12)
     assert geared.q[:, 3:] == pytest.approx(alone.q, abs=1e-12)
+
+
+@pytest.mark.parametrize(("order", "dt"), [(4, 0.005), (8, 0.01)])
+def test_reaction_of_a_gear_between_loops(order, dt):
+    """What the loops do to the joint that follows is part of the reaction: against Newton's law in one coordinate."""
+    ahead, scene = 0.7, geared_four_bars(0.7)
+    q = np.concatenate([systems.four_bar_angles(0.3), systems.four_bar_angles(0.3 + ahead)])
+    v = scene.consistent_velocity(q, np.eye(6)[0])
+    v *= 2.0 / v[0]
+    traj = cvi.simulate(scene, q, v, duration=0.5, dt=dt, order=order, tol=1e-14)
+    exact = reference.geared(BARS, 0.3, ahead, 2.0, traj.t)
+    assert traj.q[:, 0] == pytest.approx(exact[:, 0], abs=1e-7)
+    mean = np.diff(exact[:, 1]) / np.diff(traj.t)
+    assert traj.reactions("gear")[1:, 0] == pytest.approx(mean, abs=1e-5 * np.abs(mean).max())
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8, 1e-10])
