@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi import _core
 from derivatives.differences import transpose_error
+from derivatives.test_adjoint import JOINTS, chain, state_of
 from derivatives.test_sensitivity import SHAPES, at_wall, falling
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
@@ -38,8 +40,23 @@ def test_adjoint_and_tangent_of_impact_maps(impact, reference, order):
     assert transpose_error(traj, ["q0", "v0", "restitution"]) <= 1e-11
 
 
-def test_steps_in_which_the_iterations_diverge():
-    """So long that the transposed equations have to be solved by their matrix."""
+@pytest.mark.parametrize(
+    ("joints", "order", "dt"), [("spherical", 4, 2e-3), ("spherical", 8, 2e-3), ("revolute", 8, 0.01)]
+)
+def test_steps_in_which_the_iterations_diverge(joints, order, dt):
+    """So stiff that the transposed equations have to be solved by their matrix."""
+    scene, rng = chain(JOINTS[joints], 5)
+    for k in range(len(JOINTS[joints])):
+        scene.set_joint(f"j{k}", stiffness=1e5, damping=1e2)
+    scene.add_spring("b1", "world", 1e5, point_a=(0.1, 0.2, 0.0), point_b=(1.0, 0.0, 0.5), damping=10.0)
+    q, v, _ = state_of(scene, rng)
+    assert _core.derivative_costs(scene.core(), q, 0.01 * v, dt, order=order)["adjoint_iterations"] == 0
+    traj = cvi.simulate(scene, q, 0.01 * v, record="gradient", duration=6 * dt, dt=dt, order=order, tol=1e-14)
+    assert traj.stats.halved == 0
+    assert transpose_error(traj, ["q0", "v0"]) <= 1e-11
+
+
+def test_long_steps_with_impacts():
     scene, _, _ = at_wall(0.7)
     q, v = np.array([0.3, 0.2]), np.array([-12.0, 8.4])
     traj = cvi.simulate(scene, q, v, record="gradient", duration=1.5, dt=0.15, order=8, tol=1e-14)
