@@ -14,7 +14,8 @@
 // Bilateral constraints phi(q, t) = 0 are rows without a cone: the position impulse makes phi(q1, t1) = 0, the velocity
 // impulse makes the rate of phi zero at the node. They come first among the rows and are eliminated
 // (base/reduction.hpp). Joint friction is a row with the bound f h/2 for each impulse, with an anchor where the joint
-// sticks. Scenes with constraints or joint friction make all their steps here, with contacts or without.
+// sticks. Scenes with joint friction make all their steps here, with contacts or without, and so do scenes with
+// constraints at order 2 and for derivatives; above that smooth steps keep them (step/stage_constraints.hpp).
 #pragma once
 
 #include <vector>
