@@ -178,10 +178,6 @@ class Simulator {
   bool advance_free(Interval& interval, long halved, Recording& recording);
   bool take_event(Interval& interval, double h, bool shorter, Recording& recording);
   bool energy_is_kept();
-  void count_saturated();
-  bool begin_branches(const Interval& interval);
-  bool enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved);
-  bool end_failed_switch(Search outcome, double time);
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
   void start_recording(const Progress& progress, Recording& recording);
   void record_node(double t, Recording& recording) { record_node(t, state_.q.data(), state_.p.data(), recording); }
@@ -205,6 +201,12 @@ class Simulator {
   double shortest_nominal_step() const;
   bool allows_persistent_contact() const { return law_->allows_persistent_contact() && !options_.end_at_zeno; }
   void resume_free_motion(double t) { law_->resume(free_state(t), state_.reference); }
+
+  // branch_steps.cpp: where force laws change their branches.
+  void count_saturated();
+  bool begin_branches(const Interval& interval);
+  bool enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved);
+  bool end_failed_switch(Search outcome, double time);
 
   // adaptive_step.cpp and snapshot.cpp.
   bool run_adaptive_steps(double end, double origin, const AutoSteps& steps, Recording& recording);
