@@ -16,7 +16,7 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
     stats, events = traj.stats, traj.events
     limits = int((events.array("kind") == 1).sum())
     span = float(traj.t[-1] - traj.t[0])
-    energy, taken = traj.energy, float(traj.impact_energy[-1])
+    energy, taken = traj.energy, _by_impacts(traj)
     dense = float(traj.dense_steps["energy_loss"].sum())
     slid = float(traj.friction_loss[-1]) - dense
     put_in, known = _works(traj)
@@ -65,6 +65,12 @@ def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
     if fallbacks:
         text += f", {fallbacks} fallbacks to CTEC"
     return [("map", text)]
+
+
+def _by_impacts(traj: Trajectory) -> float:
+    """Return the change of the energy by impacts [J], without the work that prescribed motion does in them."""
+    driven = any(row.driven for row in traj.scene.built().elements.constraints)
+    return -float(traj.impact_loss[-1]) if driven else float(traj.impact_energy[-1])
 
 
 def _works(traj: Trajectory) -> tuple[str, float]:
