@@ -36,9 +36,9 @@ bool ContactStep::may_release() const {
   return false;
 }
 
-// b_ = d/dt (W v) of all rows without contact forces. node1_ is at q, and the integrator holds the mass matrix there.
-bool ContactStep::accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau) {
-  forward_dynamics(integrator_, q, v, tau, acceleration_);
+// b_ = d/dt (W v) of all rows without contact forces. node1_ is at q, and the equations hold the mass matrix there.
+bool ContactStep::accelerations(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau) {
+  forward_dynamics(equations, q, v, tau, acceleration_);
   if (!acceleration_.allFinite()) return false;
   const double speed = v.cwiseAbs().maxCoeff(), delta = std::min(kLongest, kSide / (speed + kSide));
   b_.setZero();
@@ -92,7 +92,7 @@ bool ContactStep::force_problem(VecX& value) {
 bool ContactStep::persistent_forces(const VecX& tau, VecX& value) {
   shows_part_ = false;
   force_cones_.resize(friction_rows_ + contacts_.size());
-  return accelerations(q1_, v1_, tau) && force_problem(value);
+  return accelerations(integrator_, q1_, v1_, tau) && force_problem(value);
 }
 
 bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value) {
@@ -113,7 +113,45 @@ bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const
   h_ = 0.0;
   for (ContactOutcome& out : outcomes_) out.slipped = false;
   set_outcomes();
-  return accelerations(q1_, v1_, tau) && force_problem(value);
+  return accelerations(integrator_, q1_, v1_, tau) && force_problem(value);
+}
+
+bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, const VecX& tau,
+                            const std::vector<Vec3>& directions, Forces& out) {
+  leave();
+  integrator_.set_time(t);
+  start_node(q);
+  node1_ = node0_;
+  equations.place_node(q);
+  MinvW_ = node1_.W;
+  equations.solve_masses(MinvW_);
+  delassus(node1_.W, MinvW_, G_end_);
+  w_end_.noalias() = node1_.W.transpose() * v;
+  if (!accelerations(equations, q, v, tau)) return false;
+  const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
+  force_cones_.resize(friction_rows_ + contacts_.size());
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    ConeContact& cone = force_cones_[friction_rows_ + i];
+    cone = cones_[friction_rows_ + i];
+    cone.frozen = cone.rows == 3 && !contacts_[i].sticks;
+    if (!cone.frozen) continue;
+    const Vec3& t1 = node1_.t1[i];
+    const Eigen::Vector2d known(directions[i].dot(t1), directions[i].dot(node1_.at[i].normal.cross(t1)));
+    const Eigen::Vector2d slip = w_end_.segment<2>(row_[i] + 1);
+    cone.d = slip.norm() > still ? Eigen::Vector2d((slip.dot(known) < 0.0 ? -slip : slip).normalized())
+                                 : Eigen::Vector2d(known.normalized());
+  }
+  out.f.setZero(rows_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    out.f.segment(row_[i], contacts_[i].rows()) = contacts_[i].force.head(contacts_[i].rows());
+  out.largest = b_.cwiseAbs().maxCoeff();
+  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
+  if (!solve_rows(force_cones_, G_end_, b_, kNoise * out.largest, out.f, true, {0.0, kAgree})) return false;
+  out.a = b_ + G_end_ * out.f;
+  double stiffest = 0.0;
+  for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
+  out.scale = std::max(stiffest > 0.0 ? scene_->tree.gravity.norm() / stiffest : 0.0, out.f.cwiseAbs().maxCoeff());
+  return out.f.allFinite() && out.a.allFinite() && out.scale > 0.0;
 }
 
 }  // namespace contactvi

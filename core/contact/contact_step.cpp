@@ -34,6 +34,7 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
     : scene_(&scene),
       guards_(&guards),
       manifolds_(&manifolds),
+      geometry_(guards),
       integrator_(scene.tree),
       costs_(scene.tree),
       bilateral_(scene.tree.elements.constraint_rows),
@@ -105,32 +106,6 @@ void ContactStep::set_rows() {
   solver_.reserve(rows_ - bilateral_);
 }
 
-void ContactStep::evaluate(const PersistentContact& persistent, Contact& contact) {
-  if (persistent.point.kind == PointKind::kWitness || persistent.point.kind == PointKind::kLimit) {
-    guards_->evaluate_witness(persistent.point.guard, contact);
-  } else {
-    manifolds_->evaluate(persistent.point, guards_->placements(persistent.point.guard), contact);
-  }
-}
-
-Vec3 ContactStep::tangent_at(const PersistentContact& persistent, const Contact& contact, const Contact& before,
-                             const Vec3& t1) const {
-  if (persistent.mu == 0.0) return Vec3::Zero();
-  if (persistent.point.kind != PointKind::kVertex) return carried_tangent(t1, before.normal, contact.normal);
-  const int body = persistent.point.plane_body;
-  return body < 0 ? persistent.tangent
-                  : Vec3(guards_->placements(persistent.point.guard).R_W[body] * persistent.tangent);
-}
-
-// Position of the point in the plane's body frame [m].
-Vec3 ContactStep::position_on_plane(const ContactPoint& point) const {
-  const Placements& at = guards_->placements(point.guard);
-  const Vec3 c = point.point_body < 0 ? point.center_B
-                                      : Vec3(at.p_W[point.point_body] + at.R_W[point.point_body] * point.center_B);
-  if (point.plane_body < 0) return c;
-  return at.R_W[point.plane_body].transpose() * (c - at.p_W[point.plane_body]);
-}
-
 // Where the point of contact i lies on its bodies, which are placed.
 void ContactStep::set_place(const ContactPoint& point, std::size_t i, Node& node) const {
   const Placements& at = guards_->placements(point.guard);
@@ -149,15 +124,12 @@ void ContactStep::start_node(const VecCRef& q0) {
   constraint_node(q0, t, node0_);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
-    evaluate(persistent, node0_.at[i]);
+    geometry_.evaluate(persistent.point, node0_.at[i]);
     set_place(persistent.point, i, node0_);
-    node0_.t1[i] = persistent.mu == 0.0 ? Vec3(Vec3::Zero())
-                   : persistent.point.kind == PointKind::kVertex
-                       ? tangent_at(persistent, node0_.at[i], node0_.at[i], persistent.tangent)
-                       : carried_tangent(persistent.tangent, node0_.at[i].normal, node0_.at[i].normal);
+    node0_.t1[i] = geometry_.start_tangent(persistent, node0_.at[i]);
     guards_->rows(persistent.point.guard, node0_.at[i], node0_.t1[i], node0_.W.middleCols(row_[i], persistent.rows()));
     if (persistent.point.material)
-      reference_positions_[i] = persistent.anchored ? persistent.anchor : position_on_plane(persistent.point);
+      reference_positions_[i] = geometry_.reference(persistent);
   }
 }
 
@@ -168,9 +140,9 @@ void ContactStep::end_node(const VecX& q1, double t1) {
   constraint_node(q1, t1, node1_);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
-    evaluate(persistent, node1_.at[i]);
+    geometry_.evaluate(persistent.point, node1_.at[i]);
     set_place(persistent.point, i, node1_);
-    node1_.t1[i] = tangent_at(persistent, node1_.at[i], node0_.at[i], node0_.t1[i]);
+    node1_.t1[i] = geometry_.tangent(persistent, node1_.at[i], node0_.at[i], node0_.t1[i]);
     guards_->rows(persistent.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], persistent.rows()));
   }
 }
@@ -203,12 +175,7 @@ void ContactStep::set_row_velocities(double h) {
     }
     if (persistent.mu == 0.0) continue;
     if (persistent.point.material) {
-      const Vec3 moved = (position_on_plane(persistent.point) - reference_positions_[i]) / h;
-      // A point of b moves on a plane of a; for a point of a on a plane of b the relative motion is the opposite.
-      const double sign = persistent.point.on_b ? 1.0 : -1.0;
-      const Vec3 t1 = persistent.tangent, t2 = sign * persistent.point.normal_B.cross(t1);
-      y_[r + 1] = sign * moved.dot(t1);
-      y_[r + 2] = sign * moved.dot(t2);
+      y_.segment<2>(r + 1) = geometry_.displacement(persistent, reference_positions_[i]) / h;
     } else {
       for (int k = r + 1; k < r + 3; ++k) {
         S_.col(k) = 0.5 * (node0_.W.col(k) + node1_.W.col(k));

@@ -26,6 +26,7 @@
 #include "cone/problem_log.hpp"
 #include "cone/solver.hpp"
 #include "contact/contact_step_record.hpp"
+#include "contact/persistent_geometry.hpp"
 #include "geometry/guard.hpp"
 #include "model/step_costs.hpp"
 #include "step/impulse_step.hpp"
@@ -60,8 +61,17 @@ class ContactStep final : public Stepper {
   void keep_problems(ProblemLog* log) { problems_ = log; }
   // Nominal length of a step [s], over which errors of the constraints are corrected.
   void set_nominal(double h) { nominal_h_ = h; }
+  // Whether `sticks` and `heading` of the contacts are those of their continuous forces, which smooth steps take for
+  // granted; not after the contacts or the state have changed by other means.
+  bool modes_known() const { return modes_known_; }
+  void set_modes_known() { modes_known_ = true; }
   // To be called after contacts were added or released, or if the state is not the end of the last step.
   void invalidate() {
+    leave();
+    modes_known_ = false;
+  }
+  // The state is not the end of the last step.
+  void leave() {
     node0_.known = follows_ = false;
     velocities_.clear();
     row_forces_.clear();
@@ -128,6 +138,25 @@ class ContactStep final : public Stepper {
   bool persistent_forces(const VecX& tau, VecX& value);
   // As persistent_forces, at a state (q, p) that is not the end of a step.
   bool persistent_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
+  // The continuous forces at (q, v) and the time t [s], per row (n, t1, t2) of each contact, and the accelerations of
+  // the rows with them. Contacts that slide do so along d: their slip, if it is one, with the sign of `directions`
+  // (world), else that. equations: whose forces act.
+  struct Forces {
+    VecX f, a;            // of all rows
+    double scale = 0.0;   // of f
+    double largest = 0.0;  // acceleration without contacts
+    double margin(int row, double mu) const { return mu * f[row] - f.segment<2>(row + 1).norm(); }
+  };
+  bool forces_at(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, const VecX& tau,
+                 const std::vector<Vec3>& directions, Forces& out);
+  // Of its rows: the first one of a contact, their Delassus matrix, and tangents of contact i.
+  int row(std::size_t i) const { return row_[i]; }
+  const MatX& force_matrix() const { return G_end_; }
+  auto force_slip(std::size_t i) const { return w_end_.segment<2>(row_[i] + 1); }
+  const Vec3& force_tangent(std::size_t i) const { return node1_.t1[i]; }
+  const Contact& force_contact(std::size_t i) const { return node1_.at[i]; }
+  // Smooth steps have led to a state with this velocity.
+  void follow(const VecX& v) { v1_ = v; }
   // Scale of the forces that the last call of persistent_forces found [N]: the largest of them, or the weight on a
   // contact if that is larger.
   double force_scale() const { return force_scale_; }
@@ -182,7 +211,7 @@ class ContactStep final : public Stepper {
     Extrapolation::History velocities, row_forces;
     VecX p1;
     double contraction, nominal_h;
-    bool follows;
+    bool follows, modes_known;
   };
   Memory memory() const;
   void recall(const Memory& memory);
@@ -208,10 +237,6 @@ class ContactStep final : public Stepper {
   void set_place(const ContactPoint& point, std::size_t i, Node& node) const;
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1);
-  void evaluate(const PersistentContact& persistent, Contact& contact);
-  Vec3 tangent_at(const PersistentContact& persistent, const Contact& contact, const Contact& before,
-                  const Vec3& t1) const;
-  Vec3 position_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
   bool turns_over() const;
   void note_contraction(double second, double first, double rounding);
@@ -233,12 +258,13 @@ class ContactStep final : public Stepper {
   bool unfreeze_turned(const MatX& G, double still);
   void note_kept_directions(bool first);
   void set_outcomes();
-  bool accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau);
+  bool accelerations(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau);
   bool force_problem(VecX& value);
 
   const Scene* scene_;
   Guards* guards_;
   const Manifolds* manifolds_;
+  PersistentGeometry geometry_;
   ProblemLog* problems_ = nullptr;
   ImpulseStep integrator_;
   ConeSolver solver_;
@@ -271,6 +297,7 @@ class ContactStep final : public Stepper {
   VecX v_start_;          // velocity at the start of the step just solved
   VecX v_node_;           // velocity at the end of the last step
   bool follows_ = false;  // the state is the end of the last step
+  bool modes_known_ = false;
   // Of the last steps, one after the other: the velocities in their middle, and the position impulses of all rows over
   // their length [N; N m].
   Extrapolation velocities_, row_forces_;

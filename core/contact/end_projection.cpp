@@ -253,7 +253,8 @@ ContactStep::Memory ContactStep::memory() const {
           p1_,
           contraction_,
           nominal_h_,
-          follows_};
+          follows_,
+          modes_known_};
 }
 
 void ContactStep::recall(const Memory& memory) {
@@ -274,6 +275,7 @@ void ContactStep::recall(const Memory& memory) {
   forget_parts();
   nominal_h_ = memory.nominal_h;
   follows_ = memory.follows;
+  modes_known_ = memory.modes_known;
 }
 
 bool ContactStep::rim_turns_far() const {
@@ -301,13 +303,14 @@ void ContactStep::commit() {
     kink = kink || persistent.sticks == out.slips;
     persistent.sticks = !out.slips;
     persistent.slip = out.slip_W;
+    persistent.heading.setZero();
     if (!persistent.point.material) continue;
     if (out.slips || out.slipped) persistent.anchored = false;
     if (!out.slips && !persistent.anchored) {
-      persistent.anchor = position_on_plane(persistent.point);
+      persistent.anchor = geometry_.position_on_plane(persistent.point);
       persistent.anchored = true;
     }
-    reference_positions_[i] = persistent.anchored ? persistent.anchor : position_on_plane(persistent.point);
+    reference_positions_[i] = geometry_.reference(persistent);
   }
   const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
   for (FrictionJoint& joint : friction_joints_) {
@@ -329,6 +332,7 @@ void ContactStep::commit() {
   }
   row_forces_.push(solved_forces_, h_);
   follows_ = true;
+  modes_known_ = false;
   std::swap(node0_, node1_);
   node1_.known = false;
 }

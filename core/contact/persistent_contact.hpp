@@ -11,6 +11,7 @@ struct PersistentContact {
   ContactPoint point;
   double mu = 0;              // Coulomb's coefficient; 0: one row, no friction
   bool sticks = true;         // at the node: the two material points have no relative tangential velocity
+  Vec3 heading = Vec3::Zero();  // unit, world: where the slip goes that begins at the node; zero: nowhere
   Vec3 slip = Vec3::Zero();   // relative tangential velocity at the node [m/s], world
   bool anchored = false;      // whether `anchor` is set
   Vec3 anchor;                // position at which a material point sticks [m], in the plane's body frame

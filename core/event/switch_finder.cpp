@@ -43,11 +43,11 @@ SwitchFinder::SwitchFinder(const Tree& tree, Integrator& integrator, SwitchFunct
 
 // By their values at the start and at the stages, which the step has at hand.
 bool SwitchFinder::clear_by_stages(const VecX& q0, const VecX& v0) {
-  functions_->evaluate(q0, v0, start_);
+  functions_->evaluate(0.0, q0, v0, start_);
   least_ = largest_ = start_;
   for (int i = 0; i < integrator_->stages(); ++i) {
     integrator_->stage_state(i, q_stage_, v_stage_);
-    functions_->evaluate(q_stage_, v_stage_, values_);
+    functions_->evaluate(integrator_->stage_place(i), q_stage_, v_stage_, values_);
     least_ = least_.cwiseMin(values_);
     largest_ = largest_.cwiseMax(values_);
   }
@@ -68,7 +68,7 @@ Search SwitchFinder::search(const VecX& q0, const VecX& p0, const VecX& v0, cons
   path_.set(q0, h, integrator_->rates());
   path_.raise(v0, v1_);
   Sample end{1.0, VecX(count)};
-  functions_->evaluate(q1, v1_, end.values);
+  functions_->evaluate(1.0, q1, v1_, end.values);
   armed_.assign(static_cast<std::size_t>(count), 0);
   bool all_armed = true;
   for (Eigen::Index k = 0; k < count; ++k) {
@@ -96,7 +96,7 @@ SwitchFinder::Sample SwitchFinder::on_path(double at) {
   Sample sample{at, VecX(start_.size())};
   path_.configuration(at, q_stage_);
   path_.velocity(at, v_stage_);
-  functions_->evaluate(q_stage_, v_stage_, sample.values);
+  functions_->evaluate(at, q_stage_, v_stage_, sample.values);
   return sample;
 }
 
@@ -109,7 +109,7 @@ bool SwitchFinder::exact(double at, VecX& values) {
   }
   integrator_->finish(q_, p_);
   if (!integrator_->node_velocity(q_, p_, v_)) return false;
-  functions_->evaluate(q_, v_, values);
+  functions_->evaluate(at, q_, v_, values);
   return true;
 }
 
@@ -142,10 +142,12 @@ Search SwitchFinder::cross(const Sample& a, const Sample& b) {
     const int number = static_cast<int>(k);
     if (!is_armed(number)) {
       if (!(b.values[k] < -kZero)) continue;
-      // It is below zero from the start on.
-      which_ = number;
-      alpha_ = 0.0;
-      return Search::kFound;
+      if (a.at <= 0.0) {  // it is below zero from the start on
+        which_ = number;
+        alpha_ = 0.0;
+        return Search::kFound;
+      }
+      // It has stayed zero so far.
     }
     if (b.values[k] > 0.0) continue;
     const double drop = a.values[k] - b.values[k];

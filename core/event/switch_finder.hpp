@@ -18,9 +18,23 @@ class SwitchFunctions {
  public:
   virtual ~SwitchFunctions() = default;
   virtual int count() const = 0;
-  // Their values at a state of the step, (count,): positive where the branches hold. In units of the sizes of their
-  // terms, so that rounding is some 1e-16.
-  virtual void evaluate(const VecX& q, const VecX& v, VecRef values) = 0;
+  // Their values at a state of the step, (count,), after the part `at` of it: positive where the branches hold. In units
+  // of the sizes of their terms, so that rounding is some 1e-16.
+  virtual void evaluate(double at, const VecX& q, const VecX& v, VecRef values) = 0;
+};
+
+// The functions of two kinds, one after the other.
+class JoinedSwitches final : public SwitchFunctions {
+ public:
+  JoinedSwitches(SwitchFunctions& first, SwitchFunctions& second) : first_(&first), second_(&second) {}
+  int count() const override { return first_->count() + second_->count(); }
+  void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override {
+    if (first_->count() > 0) first_->evaluate(at, q, v, values.head(first_->count()));
+    if (second_->count() > 0) second_->evaluate(at, q, v, values.tail(second_->count()));
+  }
+
+ private:
+  SwitchFunctions *first_, *second_;
 };
 
 class SwitchFinder {

@@ -25,8 +25,13 @@ bool Simulator::begin_branches(const Interval& interval) {
 }
 
 // Goes to the branch that follows at the state, where the last smooth step has ended. moved: it has come there by one.
-bool Simulator::enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved) {
+bool Simulator::enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved, Recording& recording) {
   integrator_.forget();
+  if (switches_.which() >= branches_.count()) {
+    change_contact(switches_.which() - branches_.count(), interval.start + interval.done, v, recording);
+    if (!moved && !state_.control.count_standstill()) return leave_to_contact_steps(interval.start + interval.done);
+    return true;
+  }
   if (!branches_.change(switches_.which(), q, v, moved)) ++state_.switches.held;
   state_.switches.located += branches_.switched() ? 1 : 0;
   state_.switches.jumps += branches_.jumped() ? 1 : 0;

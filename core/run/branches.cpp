@@ -62,7 +62,7 @@ void Branches::begin_step(const VecX& q0, const VecX& v0, bool keep) {
   }
 }
 
-void Branches::evaluate(const VecX& q, const VecX& v, VecRef values) {
+void Branches::evaluate(double, const VecX& q, const VecX& v, VecRef values) {
   if (!ropes_.empty()) integrator_->field().slackness(ropes_, q, v, slackness_);
   std::size_t rope = 0;
   for (std::size_t i = 0; i < active_.size(); ++i) {

@@ -33,7 +33,7 @@ class Branches final : public SwitchFunctions {
   void end_step() { integrator_->field().hold_branches(nullptr); }
 
   int count() const override { return static_cast<int>(active_.size()); }
-  void evaluate(const VecX& q, const VecX& v, VecRef values) override;
+  void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;
   // Goes to the branch beyond the root of a function at this state, with or without a motion since the last change.
   // False: it is held, for there have been too many changes.
   bool change(int function, const VecX& q, const VecX& v, bool moved);

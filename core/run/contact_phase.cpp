@@ -141,15 +141,19 @@ int Simulator::deepest_pair(const VecX& q, double& gap) {
 // than at its start: then the step is rejected. One that overlaps already is recorded.
 bool Simulator::sinks_in(Recording& recording, double time) {
   contact_step_.finish(q1_, p1_);
+  if (!sinks_deeper(recording, time)) return false;
+  contact_step_.reject("bodies would overlap");
+  return true;
+}
+
+// As this, of the step that leads to q1_.
+bool Simulator::sinks_deeper(Recording& recording, double time) {
   double least = 0.0;
   const int worst = deepest_pair(q1_, least);
   if (worst < 0) return false;
   guards_.place(state_.q);
   const double before = guards_.gap(worst);
-  if (least < before - Guards::kFeatureRounding) {
-    contact_step_.reject("bodies would overlap");
-    return true;
-  }
+  if (least < before - Guards::kFeatureRounding) return true;
   record_overlap(worst, least, time, recording);
   return false;
 }
@@ -181,7 +185,7 @@ void Simulator::step_past_rounding(int guard) {
 }
 
 // One contact step, to the end of the interval, to an event, or to a change of the contacts.
-bool Simulator::advance_contact(Interval& interval, Recording& recording) {
+bool Simulator::advance_contact(Interval& interval, long halved, Recording& recording) {
   const auto clock = std::chrono::steady_clock::now();
   const double at = interval.start + interval.done, nominal = current_dt();
   contact_step_.set_time(at);
@@ -189,6 +193,7 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   if (!update_contact_points(interval, recording)) return false;
   if (was_persistent && contact_step_.contacts().empty()) resume_free_motion(at);
   if (contact_step_.empty()) return true;
+  if (may_hold_contacts(at)) return advance_free(interval, halved, recording);
   const double parts = interval.parts(nominal);
   const double whole = interval.remaining / parts;
   const double h = std::min(whole, state_.control.contact.longest);

@@ -24,6 +24,12 @@ namespace contactvi {
 // A point that has separated and whose gap is still closed: guard and feature.
 using SeparatedPoint = std::pair<int, std::int64_t>;
 
+// A span in which persistent contacts are left to contact steps of order 2, for smooth steps failed to hold them.
+struct ContactStepsUntil {
+  double time = -1e300;  // its end,
+  double span = 0.0;     // and length [s]; each that follows at once is twice as long
+};
+
 // What the event loop itself carries from step to step. The persistent contacts are in the memory of the contact step,
 // which guards touch in that of the event finder.
 struct RunState {
@@ -46,6 +52,7 @@ struct RunState {
   long impacts = 0, rejected = 0, dense_steps = 0;
   double contact_seconds = 0;
   double deepest = 0;  // the least gap of a pair that a record tells of [m]
+  ContactStepsUntil contact_steps;
 };
 
 // What the parts of the engine start the next step from, besides the state of the run.

@@ -102,13 +102,19 @@ void fields(Archive& a, DensePhase& x) {
 }
 
 template <class Archive>
+void fields(Archive& a, ContactStepsUntil& x) {
+  auto& [time, span] = x;
+  values(a, time, span);
+}
+
+template <class Archive>
 void fields(Archive& a, RunState& x) {
   auto& [start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
          initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds,
-         deepest] = x;
+         deepest, contact_steps] = x;
   values(a, start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
          initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds,
-         deepest);
+         deepest, contact_steps);
 }
 
 template <class Archive>
@@ -139,8 +145,8 @@ void fields(Archive& a, Contact& x) {
 
 template <class Archive>
 void fields(Archive& a, PersistentContact& x) {
-  auto& [point, mu, sticks, slip, anchored, anchor, tangent, force, is_new] = x;
-  values(a, point, mu, sticks, slip, anchored, anchor, tangent, force, is_new);
+  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new] = x;
+  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new);
 }
 
 template <class Archive>
@@ -172,9 +178,9 @@ void fields(Archive& a, Extrapolation::History& x) {
 template <class Archive>
 void fields(Archive& a, ContactStep::Memory& x) {
   auto& [contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities,
-         row_forces, p1, contraction, nominal_h, follows] = x;
+         row_forces, p1, contraction, nominal_h, follows, modes_known] = x;
   values(a, contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities,
-         row_forces, p1, contraction, nominal_h, follows);
+         row_forces, p1, contraction, nominal_h, follows, modes_known);
 }
 
 template <class Archive>

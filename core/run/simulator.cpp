@@ -52,7 +52,9 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       contact_path_(scene.tree, 1),
       actuation_(scene.tree, state_.actuators, integrator_, contact_step_, dense_step_),
       branches_(scene.tree, actuation_, integrator_),
-      switches_(scene.tree, integrator_, branches_),
+      modes_(scene, guards_, contact_step_, integrator_),
+      all_switches_(branches_, modes_),
+      switches_(scene.tree, integrator_, all_switches_),
       long_steps_(scene.tree),
       zeno_(scene, dissipative_, allows_persistent_contact()),
       contacts_(scene, state_, integrator_, guards_, finder_, contact_step_, sequence_),
@@ -320,8 +322,9 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const double cost = located_cost();
     if (!contact_step_.empty()) state_.watch.known = false;  // friction takes energy there
     const long before = state_.impacts;
-    const bool going =
-        contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
+    const bool going = contact_step_.empty() ? advance_free(interval, halved, recording)
+                                             : advance_contact(interval, halved, recording);
+    modes_.end_step();
     if (!branches_.none()) branches_.end_step();
     count_saturated();
     // What is held by constraints or joint friction alone has no other steps.
@@ -347,37 +350,48 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   return true;
 }
 
-// One smooth step without contact, to the end of the interval or to an event in it.
+// One smooth step, to the end of the interval or to an event in it. Persistent contacts are held in it.
 bool Simulator::advance_free(Interval& interval, long halved, Recording& recording) {
   StepControl& control = state_.control;
   const double at = interval.start + interval.done;
   const double longest = control.longest_free();
   const bool halves = longest < interval.remaining * (1.0 - 1e-9);
   double h = halves ? longest : interval.remaining;
-  const bool last_try =
-      truncation_.bound > 0.0 || h < StepControl::kShortest * options_.dt || control.halved - halved >= kMostHalvings;
+  const bool holds = !contact_step_.contacts().empty();
+  const bool last_try = !holds && (truncation_.bound > 0.0 || h < StepControl::kShortest * options_.dt ||
+                                   control.halved - halved >= kMostHalvings);
   integrator_.set_time(at);
   if (!branches_.none() && !begin_branches(interval)) return false;
+  if (holds) {
+    if (!integrator_.node_velocity(state_.q, state_.p, v_) ||
+        !modes_.begin_step(state_.q, v_, at, interval.tau))
+      return leave_to_contact_steps(at);
+    integrator_.set_time(at);
+  }
   if (!solve_smooth_step(at, h, interval.tau, last_try)) {
-    if (last_try || scene_->tree.elements.user_failed()) return false;
+    if (truncation_.too_long || last_try || scene_->tree.elements.user_failed()) return false;
+    if (holds) return shorten_held_step(h, at);
     control.halve_free(h);
     return true;
   }
+  if (holds && !modes_.fits(q1_)) return shorten_held_step(h, at);
   // Adaptive steps are as short as their stages need; an implicit map has its own energy, and an impulse for the whole
   // step.
   if (truncation_.bound == 0.0 && !last_try && !law_->implicit() &&
       long_steps_.may_be_long(integrator_.stage_velocities(), integrator_.padded_stages(), h) &&
       long_steps_.is_long(integrator_, h) && !energy_is_kept()) {
+    if (holds) return shorten_held_step(h, at);
     integrator_.forget();
     control.halve_free(h);
     return true;
   }
+  if (holds) modes_.take_step(h, interval.tau);
   bool switches = false;  // the step is to end where a branch does
-  if (branches_.count() > 0) {
+  if (all_switches_.count() > 0) {
     const Search found = switches_.search(state_.q, state_.p, v_, q1_, p1_, h, interval.tau);
     if (found != Search::kNone) integrator_.forget();
     if (found == Search::kFound) {
-      if (switches_.alpha() <= 0.0) return enter_branch(interval, state_.q, v_, false);
+      if (switches_.alpha() <= 0.0) return enter_branch(interval, state_.q, v_, false, recording);
       switches = true;
       h *= switches_.alpha();
       q1_ = switches_.q();
@@ -385,12 +399,15 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
       if (options_.dense) rates_ = integrator_.rates();
     } else if (found != Search::kNone) {
       if (last_try) return end_failed_switch(found, at);
+      if (holds) return shorten_held_step(h, at);
       control.halve_free(h);
       return true;
     }
   }
   const bool shorter = halves || switches;
-  if (!recording.phase_t.empty())
+  if (holds)
+    record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kPersistent, recording);
+  else if (!recording.phase_t.empty())
     record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kFree, recording);
   if (!stays_in_range(at)) return false;
   const WorkAccount::FreeWork work = state_.work.of(integrator_);
@@ -403,6 +420,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     }
   }
   if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) {
+    if (holds) return shorten_held_step(h, at);
     integrator_.forget();  // solve_smooth_step has accepted the step
     control.halve_free(h);
     return true;
@@ -414,12 +432,16 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     return take_event(interval, h, shorter, recording);
   }
   if (found != Search::kNone) return end_failed_search(found, at);
+  if (holds) {
+    if (sinks_deeper(recording, at + h)) return shorten_held_step(h, at);
+    modes_.commit(at, state_.step, options_.record_contacts, recording);
+  }
   state_.work.add(work);
   control.flew(options_.dt);
   record_segment(at, h, p1_, recording);
   state_.q.swap(q1_);
   state_.p.swap(p1_);
-  if (!finder_.active().empty()) {
+  if (!holds && !finder_.active().empty()) {
     double gap = 0.0;
     const int guard = deepest_pair(state_.q, gap);
     if (guard >= 0) record_overlap(guard, gap, at + h, recording);
@@ -428,7 +450,10 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   interval.done += h;
   interval.remaining = shorter ? interval.length - interval.done : 0.0;
   interval.keeps_branches = false;
-  if (switches) enter_branch(interval, state_.q, switches_.v(), true);
+  if (switches) enter_branch(interval, state_.q, switches_.v(), true, recording);
+  modes_.end_step();
+  if (holds) control.progress();
+  if (holds && contact_step_.contacts().empty()) resume_free_motion(interval.start + interval.done);
   // Each part of a step that was cut counts as a step of its own.
   if (interval.remaining > 0.0) law_->start_step(free_state(interval.start + interval.done), state_.reference);
   return true;
@@ -442,7 +467,7 @@ bool Simulator::energy_is_kept() {
     return integrator_.node_velocity(q, p, v_long_) ? 0.5 * p.dot(v_long_) : kNaN;
   };
   const double V0 = potential(state_.q), V1 = potential(q1_), T0 = kinetic(state_.q, state_.p);
-  const double step_work = integrator_.work();
+  const double step_work = integrator_.work() + modes_.friction_work();
   const double before = T0 + V0 - work, after = kinetic(q1_, p1_) + V1 - work - step_work;
   return keeps_energy(state_.watch, before, after, T0, V1 - V0);
 }
@@ -452,20 +477,28 @@ bool Simulator::energy_is_kept() {
 bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording& recording) {
   const Event& event = finder_.event();
   const double at = interval.start + interval.done, before = event.alpha * h;
+  const bool holds = modes_.active();
   if (before > 0.0) {
+    if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);
   }
+  modes_.end_step();
   integrator_.forget();
   state_.watch.known = false;
   interval.done += before;
   interval.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : interval.length - interval.done;
   state_.q = event.q;
   state_.p = event.p;
-  law_->evaluate_before(free_state(at + before, interval.length), before, state_.step, state_.reference);
-  const Instant instant{at + before,  before,      interval.remaining, interval.length,
-                        interval.tau, state_.step, &integrator_};
+  if (!holds) law_->evaluate_before(free_state(at + before, interval.length), before, state_.step, state_.reference);
+  const Instant instant{at + before,
+                        holds ? 0.0 : before,
+                        interval.remaining,
+                        interval.length,
+                        interval.tau,
+                        state_.step,
+                        holds ? nullptr : &integrator_};
   if (!resolve_event(event.guard, event.stays_closed, instant, recording)) return false;
   StepControl& control = state_.control;
   if (before < StepControl::kShortest * shortest_nominal_step() && zeno_.impacted().empty()) {

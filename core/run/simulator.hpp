@@ -9,6 +9,7 @@
 
 #include "model/step_costs.hpp"
 #include "run/contact_change.hpp"
+#include "run/contact_modes.hpp"
 #include "run/contact_set.hpp"
 #include "run/run_state.hpp"
 #include "run/side_by_side.hpp"
@@ -205,7 +206,7 @@ class Simulator {
   // branch_steps.cpp: where force laws change their branches.
   void count_saturated();
   bool begin_branches(const Interval& interval);
-  bool enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved);
+  bool enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved, Recording& recording);
   bool end_failed_switch(Search outcome, double time);
 
   // adaptive_step.cpp and snapshot.cpp.
@@ -220,8 +221,14 @@ class Simulator {
   void restore_state(const Snapshot& snapshot);
   void recall(const EngineMemory& memory);
 
+  // held_contacts.cpp: persistent contacts in smooth steps.
+  bool may_hold_contacts(double time) const;
+  bool leave_to_contact_steps(double time);
+  bool shorten_held_step(double h, double time, int line = __builtin_LINE());
+  void change_contact(int function, double time, const VecX& v, Recording& recording);
+
   // contact_phase.cpp: steps in persistent contact.
-  bool advance_contact(Interval& interval, Recording& recording);
+  bool advance_contact(Interval& interval, long halved, Recording& recording);
   bool retry_contact_step(double h, double time);
   bool first_contact_change(const Interval& interval, double h, double& alpha, bool& hit, bool& again,
                             Recording& recording);
@@ -229,6 +236,7 @@ class Simulator {
   bool changes_energy();
   int deepest_pair(const VecX& q, double& gap);
   bool sinks_in(Recording& recording, double time);
+  bool sinks_deeper(Recording& recording, double time);
   void record_overlap(int guard, double gap, double time, Recording& recording);
   double potential(const VecX& q);
   bool update_contact_points(const Interval& interval, Recording& recording);
@@ -276,6 +284,8 @@ class Simulator {
   StepPath path_, contact_path_;
   Actuation actuation_;
   Branches branches_;
+  ContactModes modes_;
+  JoinedSwitches all_switches_;
   SwitchFinder switches_;
   LongSteps long_steps_;
   ZenoDetector zeno_;

@@ -30,22 +30,29 @@ Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterati
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
       v0_(tree.nv) {
-  if (!constrained || tree.elements.constraint_rows == 0) return;
+  if (!constrained) return;
   constraints_ = std::make_unique<StageConstraints>(tree, stages);
   q1_.resize(tree.nq);
   p1_.resize(tree.nv);
-  momentum_ = &constraints_->start_momentum();
+  hold(nullptr);
+}
+
+void Integrator::hold(PhaseRows* rows) {
+  if (!constraints_) return;
+  constraints_->hold(rows);
+  keeps_rows_ = constraints_->any();
+  momentum_ = keeps_rows_ ? &constraints_->start_momentum() : &p0_;
 }
 
 void Integrator::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
   StepEquations::begin(q0, p0, h, tau, after);
-  if (constraints_) constraints_->begin(q0_, p0_, time_ + after, h);
+  if (keeps_rows_) constraints_->begin(*this, q0_, p0_, time_ + after, h);
 }
 
 // Of a step that is solved: whether it ends as it should.
 bool Integrator::ends_well() {
   if (turns_too_far()) return false;
-  if (!constraints_) return true;
+  if (!keeps_rows_) return true;
   StepEquations::finish(q1_, p1_);
   if (constraints_->close(*this, stages_, q1_, p1_)) return true;
   why_ = "the constraints cannot be met";
@@ -64,9 +71,9 @@ bool Integrator::solve_stages() {
   if (lanes_ != nullptr) company_->iterate(*this, *lanes_);
   while (iteration_.goes_on()) {
     const int flags = iteration_.flags();
-    if (constraints_) constraints_->place_nodes(stages_);
+    if (keeps_rows_) constraints_->place_nodes(stages_);
     iterate_stages(flags);
-    if (constraints_) constraints_->correct(stages_, stiff_, (flags & kLaneFactor) != 0);
+    if (keeps_rows_) constraints_->correct(*this, stages_, stiff_, (flags & kLaneFactor) != 0);
     judge_iteration();
     if (exceeds_truncation()) return false;
     if (iteration_.accelerates()) accelerate();
@@ -75,7 +82,7 @@ bool Integrator::solve_stages() {
   if (iteration_.converged()) newton_ = iteration_.newton();
   if (!iteration_.finite()) newton_ = false;
   solved_ = iteration_.solved();
-  if (!solved_ && constraints_) constraints_->give_up();
+  if (!solved_ && keeps_rows_) constraints_->give_up();
   if (!solved_) why_ = iteration_.finite() ? "the stage iterations do not converge" : "a number is not finite";
   return solved_;
 }
@@ -100,7 +107,7 @@ bool Integrator::exceeds_truncation() {
 
 void Integrator::judge_iteration() {
   ++stage_iterations_;
-  if (constraints_)
+  if (keeps_rows_)
     iteration_.judge(stages_, constraints_->rounding());
   else
     iteration_.judge(stages_);
@@ -249,7 +256,7 @@ void Integrator::accept_ahead(int after) {
 }
 
 void Integrator::finish(VecRef q1, VecRef p1) {
-  if (constraints_) {
+  if (keeps_rows_) {
     q1 = q1_;
     p1 = p1_;
     return;
@@ -285,7 +292,7 @@ bool Integrator::start_by_ramp(const VecX& tau) {
     }
     start_.add_piece(stages_, done, h);
     start_.push(stages_, h);
-    if (constraints_ && !ends_well()) return false;
+    if (keeps_rows_ && !ends_well()) return false;
     finish(q1, p1);
     q = q1;
     p = p1;
@@ -328,7 +335,7 @@ void Integrator::accept() {
   carry_q_.swap(next_carry_q_);
   carry_p_.swap(next_carry_p_);
   start_.push(stages_, h_);
-  if (constraints_) constraints_->accept();
+  if (keeps_rows_) constraints_->accept();
   if (from_ahead_) ahead_.advance(1);
   from_ahead_ = false;
 }
@@ -339,7 +346,7 @@ void Integrator::forget() {
   carry_q_.setZero();
   carry_p_.setZero();
   start_.forget();
-  if (constraints_) constraints_->forget();
+  if (keeps_rows_) constraints_->forget();
 }
 
 void Integrator::join(LaneCompany* company) {
@@ -373,7 +380,7 @@ void Integrator::recall(const Memory& memory) {
   Eigen::Map<MatX> P(stages_.P(), stages_.padded(), tree_->nv);
   for (int i = 0; i < stages_.padded(); ++i) P.row(i) = memory.momenta.row(std::min(i, stages_.count() - 1));
   newton_ = memory.newton;
-  if (constraints_ && memory.constraint_forces.size() > 0) constraints_->start_from(memory.constraint_forces);
+  if (constraints_) constraints_->start_from(memory.constraint_forces);
   solved_ = false;
 }
 

@@ -25,10 +25,12 @@ class Guide;
 class Integrator final : public Stepper, public StepEquations {
  public:
   // tol: relative error of the stage velocities, in the energy norm; at most max_iterations from each set of start
-  // values. constrained: its steps keep the tree's constraints, if there are any.
+  // values. constrained: its steps keep the tree's constraints, if there are any, and the rows that it is told to hold.
   Integrator(const Tree& tree, int stages, double tol, int max_iterations, bool constrained = false);
 
   int stages() const override { return StepEquations::stages(); }
+  // From the next step on these rows are kept as well; null: none.
+  void hold(PhaseRows* rows);
   // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the iterations do not converge from any start values; why() gives the reason.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
@@ -55,12 +57,11 @@ class Integrator final : public Stepper, public StepEquations {
     return StepEquations::node_velocity(q, p, v);
   }
   double discrete_energy() override { return StepEquations::discrete_energy(); }
-  double work() const override { return StepEquations::work() + (constraints_ ? constraints_->work() : 0.0); }
-  double mean_work() const override {
-    return StepEquations::mean_work() + (constraints_ ? constraints_->mean_work() : 0.0);
-  }
+  double work() const override { return StepEquations::work() + (keeps_rows_ ? constraints_->work() : 0.0); }
+  double mean_work() const override { return StepEquations::mean_work() + (keeps_rows_ ? constraints_->mean_work() : 0.0); }
+  double length() const { return h_; }  // of the step just solved [s]
   // Those of the step just solved; null: it has none.
-  const StageConstraints* constraints() const { return constraints_.get(); }
+  const StageConstraints* constraints() const { return keeps_rows_ ? constraints_.get() : nullptr; }
   double modified_hamiltonian(double t, const VecCRef& q, const VecCRef& p, double h) override;
 
   // The step just finished is taken: the next one starts from its polynomial, and from the digits that its sums lost.
@@ -117,7 +118,8 @@ class Integrator final : public Stepper, public StepEquations {
   bool turns_too_far();
 
   StageIteration iteration_;
-  std::unique_ptr<StageConstraints> constraints_;  // null: none
+  std::unique_ptr<StageConstraints> constraints_;  // null: its steps never keep any
+  bool keeps_rows_ = false;                        // whether they do now
   VecX q1_, p1_;                                   // end of a step with constraints
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company

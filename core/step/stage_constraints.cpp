@@ -19,55 +19,153 @@ constexpr double kRounding = 1e-15;
 constexpr double kTurns = 1e-15;       // [rad] to which the charts of spherical joints belong to their velocities
 constexpr double kIndependent = 1e-7;  // relative pivot above which no such row is looked for
 constexpr double kZeroRow = 1e-20;     // share of the largest diagonal below which a row is rounding
+// [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
+constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
+constexpr double kFarTurn = 0.5;        // [rad] by which an iteration changes the direction of a slip at most
+constexpr int kEndIterations = 30;      // of Newton's method on the impulse at the end, where contacts slide
+constexpr double kEndExact = 1e-15;     // [rad] change of a direction that is rounding
+constexpr double kSameDirection = 1e-13;  // [rad] change from which on rounding may keep it from becoming smaller
 }  // namespace
 
 StageConstraints::Node::Node(const Tree& tree)
-    : q(tree.nq),
-      X(VecX::Zero(tree.nv)),
-      phi(tree.elements.constraint_rows),
-      rate(tree.elements.constraint_rows),
-      W(tree.nv, tree.elements.constraint_rows),
-      at(tree) {}
+    : q(tree.nq), X(VecX::Zero(tree.nv)), at(tree) {}
 
 StageConstraints::StageConstraints(const Tree& tree, int stages)
     : tree_(&tree),
       table_(&lobatto_table(stages)),
-      rows_(tree.elements.constraint_rows),
+      fixed_(tree.elements.constraint_rows),
+      rows_(fixed_),
       stages_(stages),
       nodes_(stages + 1, Node(tree)),
-      lambda_(MatX::Zero(rows_, stages + 1)),
       to_nodes_(stages, stages),
+      at_nodes_(stages, stages),
+      path_(tree, stages),
+      stage_rates_(tree.nv, stages),
+      v0_(tree.nv),
+      q_stage_(tree.nq),
+      X_stage_(tree.nv),
+      v_node_(tree.nv),
       kept_(0),
-      changed_(0) {
-  for (int k = 0; k < stages; ++k)
-    for (int j = 0; j < stages; ++j) to_nodes_(j, k) = table_->to_node[k + 1][j];
+      changed_(0),
+      v1_(VecX::Zero(tree.nv)),
+      q1_(tree.nq),
+      p1_(tree.nv) {
+  const GaussTable& gauss = gauss_table(stages);
+  for (int k = 0; k < stages; ++k) {
+    double P[kMaxStages];
+    legendre(2.0 * table_->d[k + 1] - 1.0, stages, P);
+    for (int j = 0; j < stages; ++j) {
+      to_nodes_(j, k) = table_->to_node[k + 1][j];
+      at_nodes_(j, k) = 0.0;
+      for (int n = 0; n < stages; ++n) at_nodes_(j, k) += P[n] * gauss.to_legendre[n][j];
+    }
+  }
+  resize();
   forget();
 }
 
-void StageConstraints::place(Node& node) {
-  contactvi::place(*tree_, node.q, node.at);
-  evaluate_constraints(*tree_, node.at, node.q, node.t, node.phi, node.W, node.rate);
-  node.chart = node.W;
+void StageConstraints::hold(PhaseRows* rows) {
+  phase_ = rows;
+  rows_ = fixed_ + (rows != nullptr ? rows->count() : 0);
+  slides_ = rows != nullptr ? static_cast<int>(rows->slides().size()) : 0;
+  rolling_ = 0;
+  for (int r = 0; r < rows_ - fixed_; ++r) rolling_ += rows->by_rate(r) ? 1 : 0;
+  nodes_[0].q.setConstant(std::numeric_limits<double>::quiet_NaN());  // its rows are other ones
+  resize();
+}
+
+void StageConstraints::resize() {
+  const int nv = tree_->nv;
+  for (Node& node : nodes_) {
+    node.phi.setZero(rows_);
+    node.rate.setZero(rows_);
+    node.W.resize(nv, rows_);
+    node.T.resize(nv, 2 * slides_);
+    for (MatX* X : {&node.along, &node.across, &node.chart_across}) X->resize(nv, slides_);
+    node.slip_across.setZero(slides_);
+  }
+  if (lambda_.rows() != rows_) lambda_.setZero(rows_, stages_ + 1);
+  angles_.setZero(slides_, stages_ + 1);
+  slips_.setZero(slides_, stages_ + 1);
+  turned_.assign(static_cast<std::size_t>(slides_ * (stages_ + 1)), 0);
+  if (rolling_ > 0) rolls_.assign(static_cast<std::size_t>(stages_), MatX(nv, rows_ - fixed_));
+}
+
+// The node at which an unknown acts.
+int StageConstraints::node_of(int unknown) const {
+  return unknown < rows_ * stages_ ? unknown / rows_ : 1 + (unknown - rows_ * stages_) / slides_;
+}
+
+void StageConstraints::place(Node& node, int number) {
+  if (fixed_ > 0) {
+    contactvi::place(*tree_, node.q, node.at);
+    evaluate_constraints(*tree_, node.at, node.q, node.t, node.phi.head(fixed_), node.W.leftCols(fixed_),
+                         node.rate.head(fixed_));
+  }
+  if (phase_ != nullptr)
+    phase_->place(number, node.q, node.phi.tail(rows_ - fixed_), node.W.rightCols(rows_ - fixed_), node.T);
+  to_chart(node, node.W, node.chart_W);
+  direct(node, number);
+}
+
+// The directions of the slips at a node, and what follows from them.
+void StageConstraints::direct(Node& node, int number) {
+  node.F = node.W;
+  if (slides_ == 0) {
+    node.chart_F = node.chart_W;
+    return;
+  }
+  for (int j = 0; j < slides_; ++j) {
+    const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+    const double c = std::cos(angles_(j, number)), s = std::sin(angles_(j, number));
+    const auto t1 = node.T.col(2 * j), t2 = node.T.col(2 * j + 1);
+    node.along.col(j) = c * t1 + s * t2;
+    node.across.col(j) = c * t2 - s * t1;
+    node.F.col(fixed_ + normal) -= mu * node.along.col(j);
+  }
+  to_chart(node, node.F, node.chart_F);
+  to_chart(node, node.across, node.chart_across);
+}
+
+// Gradients by the chart at the start of the step.
+void StageConstraints::to_chart(const Node& node, const MatX& from, MatX& to) const {
+  to = from;
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
     const Mat3 J = so3_right_jacobian(node.X.segment<3>(joint.iv));
-    node.chart.middleRows<3>(joint.iv) = J.transpose() * node.W.middleRows<3>(joint.iv);
+    to.middleRows<3>(joint.iv) = J.transpose() * from.middleRows<3>(joint.iv);
   }
 }
 
-void StageConstraints::begin(const VecCRef& q0, const VecCRef& p0, double t0, double h) {
+void StageConstraints::begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h) {
+  const bool same = q0_.size() == q0.size() && nodes_[0].q == q0 && nodes_[0].t == t0;
+  const bool same_speed = same && p0_.size() == p0.size() && p0_ == p0;
   p0_ = p0;
-  const bool same = q0_.size() == q0.size() && q0_ == q0 && nodes_[0].t == t0;
   h_ = h;
+  knows_end_ = false;
+  if (forces_.size() != rows_) forces_.setZero(rows_);
   for (int k = 0; k <= stages_; ++k) {
     nodes_[k].t = t0 + table_->d[k] * h;
     lambda_.col(k) = h * table_->e[k] * forces_;
   }
   violated_ = -1;
-  if (same) return;
+  std::fill(turned_.begin(), turned_.end(), 0);
+  if (same && (slides_ == 0 || same_speed)) {
+    for (int k = 1; k <= stages_; ++k) angles_.col(k) = angles_.col(0);
+    return;
+  }
   q0_ = q0;
   nodes_[0].q = q0;
-  place(nodes_[0]);
+  nodes_[0].X.setZero();
+  place(nodes_[0], 0);
+  if (slides_ == 0) return;
+  if (!equations.node_velocity(q0, p0, v0_)) v0_.setZero();
+  for (int j = 0; j < slides_; ++j) {
+    const Eigen::Vector2d slip = nodes_[0].T.middleCols<2>(2 * j).transpose() * v0_;
+    angles_.row(j).setConstant(phase_->start_angle(j, slip, v0_.cwiseAbs().maxCoeff()));
+    slips_.row(j).setConstant(slip.dot(Eigen::Vector2d(std::cos(angles_(j, 0)), std::sin(angles_(j, 0)))));
+  }
+  direct(nodes_[0], 0);
 }
 
 void StageConstraints::place_nodes(Stages& stages) {
@@ -82,13 +180,22 @@ void StageConstraints::place_nodes(Stages& stages) {
       node.X[d] = h_ * sum;
     }
     integrate(*tree_, q0_, node.X, 1.0, node.q);
-    place(node);
+    place(node, k);
+    // What the rows of the phase are off at the start goes within the step, smoothly.
+    const double d = table_->d[k], left = (1.0 - d) * (1.0 - d) * (1.0 + 2.0 * d);
+    node.phi.tail(rows_ - fixed_) -= left * nodes_[0].phi.tail(rows_ - fixed_);
+  }
+  if (rolling_ > 0) place_rates(stages);
+  if (slides_ > 0) {
+    for (int i = 0; i < stages_; ++i)
+      for (int d = 0; d < nv; ++d) stage_rates_(d, i) = stages.rate()[static_cast<std::size_t>(d) * S + i];
+    changed_turns_ = find_slips() || changed_turns_;
   }
   add_impulses();
   double* given = stages.impulse();
   std::fill_n(given, static_cast<std::size_t>(nv) * S, 0.0);
   for (int k = 1; k < stages_; ++k) {  // the share of the first one in all stages is that in the end
-    impulse_.noalias() = nodes_[k].chart * lambda_.col(k);
+    impulse_.noalias() = nodes_[k].chart_F * lambda_.col(k);
     for (int d = 0; d < nv; ++d)
       for (int i = 0; i < S; ++i)
         given[static_cast<std::size_t>(d) * S + i] += (table_->share[std::min(i, stages_ - 1)][k] - 1.0) * impulse_[d];
@@ -96,11 +203,48 @@ void StageConstraints::place_nodes(Stages& stages) {
   stages.start_from(p_start_);
 }
 
+// The rows of velocities where the stages are.
+void StageConstraints::place_rates(const Stages& stages) {
+  const int S = stages.padded();
+  const GaussTable& table = stages.table();
+  MatX none(tree_->nv, 2 * slides_);
+  phi_.resize(rows_ - fixed_);
+  for (int i = 0; i < stages_; ++i) {
+    for (int d = 0; d < tree_->nv; ++d) {
+      const double* rate = stages.rate() + static_cast<std::size_t>(d) * S;
+      double sum = 0.0;
+      for (int j = 0; j < stages_; ++j) sum += table.A[i][j] * rate[j];
+      X_stage_[d] = h_ * sum;
+    }
+    integrate(*tree_, q0_, X_stage_, 1.0, q_stage_);
+    phase_->place(stages_ + 1 + i, q_stage_, phi_, rolls_[static_cast<std::size_t>(i)], none);
+  }
+}
+
+// The slips at the nodes inside of the step, of the path raised by the velocities at its ends. Whether one is found to
+// have turned back that had not before.
+bool StageConstraints::find_slips() {
+  path_.set(q0_, h_, stage_rates_);
+  if (knows_end_) path_.raise(v0_, v1_);
+  bool any = false;
+  for (int k = 1; k < stages_; ++k) {
+    path_.velocity(table_->d[k], v_node_);
+    slips_.col(k) = nodes_[k].along.transpose() * v_node_;
+    nodes_[k].slip_across = nodes_[k].across.transpose() * v_node_;
+    for (int j = 0; j < slides_; ++j) {
+      char& back = turned_[static_cast<std::size_t>(k * slides_ + j)];
+      any = any || (back == 0 && slips_(j, k) < 0.0);
+      back = back != 0 || slips_(j, k) < 0.0 ? 1 : 0;
+    }
+  }
+  return any;
+}
+
 // The start momentum with all impulses but the last one; on spherical joints in the frame of the start.
 void StageConstraints::add_impulses() {
   p_start_ = p0_;
   for (int k = 0; k < stages_; ++k) {
-    impulse_.noalias() = nodes_[k].W * lambda_.col(k);
+    impulse_.noalias() = nodes_[k].F * lambda_.col(k);
     for (const Joint& joint : tree_->joints) {
       if (joint.type != JointType::kSpherical) continue;
       const Vec3 own = impulse_.segment<3>(joint.iv);
@@ -138,18 +282,40 @@ void StageConstraints::to_stages(bool transposed, int S, double* x) const {
   }
 }
 
-// Of chart velocities x (nv, S) at the stages: what they move the rows at all nodes but the first one, (s m,).
-void StageConstraints::move_rows(const double* x, int S, VecRef moved) {
+// Of velocities x (nv, S) at the stages, which are changed: how they move the rows at all nodes but the first one, with
+// those of velocities at the stages, over the step, and the directions of slips; (unknowns,).
+void StageConstraints::move_rows(double* x, int S, VecRef moved) {
   const Eigen::Map<const MatX> rates(x, S, tree_->nv);
+  const int held = rows_ - fixed_;
+  if (rolling_ > 0)
+    for (int i = 0; i < stages_; ++i)
+      for (int r = 0; r < held; ++r)
+        if (phase_->by_rate(r))
+          moved[impulse_at(i, fixed_ + r)] = h_ * rates.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
+  to_stages(true, S, x);
   displaced_.noalias() = rates.topRows(stages_).transpose() * to_nodes_;
-  for (int k = 1; k <= stages_; ++k)
-    moved.segment((k - 1) * rows_, rows_).noalias() = h_ * (nodes_[k].chart.transpose() * displaced_.col(k - 1));
+  for (int k = 1; k <= stages_; ++k) {
+    if (rolling_ == 0) {
+      moved.segment((k - 1) * rows_, rows_).noalias() = h_ * (nodes_[k].chart_W.transpose() * displaced_.col(k - 1));
+      continue;
+    }
+    for (int r = 0; r < rows_; ++r)
+      if (r < fixed_ || !phase_->by_rate(r - fixed_))
+        moved[impulse_at(k - 1, r)] = h_ * nodes_[k].chart_W.col(r).dot(displaced_.col(k - 1));
+  }
+  if (slides_ == 0 || stages_ == 1) return;
+  displaced_.noalias() = rates.topRows(stages_).transpose() * at_nodes_;
+  for (int k = 1; k < stages_; ++k)
+    moved.segment(direction_at(k, 0), slides_).noalias() =
+        h_ * (nodes_[k].chart_across.transpose() * displaced_.col(k - 1));
 }
 
 void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
-  const int S = stages.padded(), nv = tree_->nv, count = rows_ * stages_;
+  const int S = stages.padded(), nv = tree_->nv, count = unknowns();
   const std::size_t size = static_cast<std::size_t>(nv) * S;
-  if (given_.empty()) {
+  if (static_cast<int>(given_.size()) != count) {
+    given_.clear();
+    moved_.clear();
     for (int k = 0; k < count; ++k) {
       given_.emplace_back(size);
       moved_.emplace_back(size);
@@ -159,45 +325,80 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
   }
   std::copy_n(stages.dv(), size, kept_.data());
   matrix_.resize(count, count);
-  scale_.resize(count);
-  for (int l = 0; l < stages_; ++l)
-    for (int c = 0; c < rows_; ++c) {
-      const int column = l * rows_ + c;
-      double* given = given_[column].data();
-      for (int d = 0; d < nv; ++d) std::fill_n(given + static_cast<std::size_t>(d) * S, S, nodes_[l].chart(d, c));
-      to_stages(false, S, given);
-      std::copy_n(given, size, stages.dv());
-      stages.solve();
-      if (stiff.any()) stiff.correct_solution(stages, false);
-      std::copy_n(stages.dv(), size, moved_[column].data());
-    }
-  for (int l = 0; l < stages_; ++l)
-    for (int c = 0; c < rows_; ++c) {
-      const int column = l * rows_ + c;
-      std::copy_n(moved_[column].data(), size, changed_.data());
-      to_stages(true, S, changed_.data());
+  for (int column = 0; column < count; ++column) {
+    double* given = given_[column].data();
+    const int k = node_of(column);
+    if (column < rows_ * stages_) {
       for (int d = 0; d < nv; ++d)
-        for (int j = 0; j < stages_; ++j) changed_.data()[static_cast<std::size_t>(d) * S + j] *= table_->share[j][l];
-      move_rows(changed_.data(), S, matrix_.col(column));
+        std::fill_n(given + static_cast<std::size_t>(d) * S, S, nodes_[k].chart_F(d, column % rows_));
+    } else {
+      const int j = (column - rows_ * stages_) % slides_;
+      const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+      const double friction = mu * lambda_(fixed_ + normal, k);
+      for (int d = 0; d < nv; ++d)
+        std::fill_n(given + static_cast<std::size_t>(d) * S, S, -friction * nodes_[k].chart_across(d, j));
     }
+    to_stages(false, S, given);
+    std::copy_n(given, size, stages.dv());
+    stages.solve();
+    if (stiff.any()) stiff.correct_solution(stages, false);
+    std::copy_n(stages.dv(), size, moved_[column].data());
+  }
+  for (int column = 0; column < count; ++column) {
+    const int l = node_of(column);
+    for (int d = 0; d < nv; ++d)
+      for (int j = 0; j < S; ++j)
+        changed_.data()[static_cast<std::size_t>(d) * S + j] =
+            moved_[column].data()[static_cast<std::size_t>(d) * S + j] * table_->share[std::min(j, stages_ - 1)][l];
+    move_rows(changed_.data(), S, matrix_.col(column));
+  }
   std::copy_n(kept_.data(), size, stages.dv());
-  // Rows and columns of the same constraint have the same scale: that of its own mobility.
+  for (int k = 1; k < stages_; ++k)
+    for (int j = 0; j < slides_; ++j) {
+      const int at = direction_at(k, j);
+      if (turned(k, j)) {
+        matrix_.row(at).setZero();
+        matrix_(at, at) = h_;
+        if (k > 1) matrix_(at, direction_at(k - 1, j)) = -h_;
+      } else {
+        matrix_(at, at) -= h_ * slips_(j, k);
+      }
+    }
+  scale_matrix(S);
+  factor_matrix();
+}
+
+// Rows and columns of the impulses of one row have the same scale: that of its own mobility. Those of directions have
+// the scale of their row's largest entry.
+void StageConstraints::scale_matrix(int S) {
+  const int count = unknowns();
   VecX own(rows_);
   for (int c = 0; c < rows_; ++c) {
     own[c] = 0.0;
-    for (int d = 0; d < nv; ++d)
+    for (int d = 0; d < tree_->nv; ++d)
       own[c] += given_[c].data()[static_cast<std::size_t>(d) * S] * moved_[c].data()[static_cast<std::size_t>(d) * S];
   }
-  const double zero = kZeroRow * own.maxCoeff();
+  const double zero = kZeroRow * (rows_ > 0 ? own.maxCoeff() : 0.0);
+  // Least impulses of contacts that share a load are least in N s.
+  const double common = rows_ > fixed_ ? own.tail(rows_ - fixed_).maxCoeff() : 0.0;
   const double noise = kRounding * (1.0 + q0_.cwiseAbs().maxCoeff()) * stages_ * stages_ / h_;
   rounding_ = 0.0;
   for (int c = 0; c < rows_; ++c) rounding_ += own[c] > zero ? noise * noise / own[c] : 0.0;
-  for (int column = 0; column < count; ++column) {
-    const double mobility = own[column % rows_];
-    scale_[column] = mobility > zero ? 1.0 / std::sqrt(mobility) : 0.0;
+  matrix_ /= h_;
+  scale_.resize(count);
+  row_scale_.resize(count);
+  for (int column = 0; column < rows_ * stages_; ++column) {
+    const int row = column % rows_;
+    const double mobility = row < fixed_ || !(own[row] > zero) ? own[row] : common;
+    row_scale_[column] = scale_[column] = mobility > zero ? 1.0 / std::sqrt(mobility) : 0.0;
   }
-  matrix_ = scale_.asDiagonal() * matrix_ * scale_.asDiagonal() / h_;
-  factor_matrix();
+  for (int column = rows_ * stages_; column < count; ++column) {
+    const double largest = matrix_.row(column).cwiseProduct(scale_.head(rows_ * stages_).transpose()).cwiseAbs().maxCoeff();
+    const double own_entry = std::abs(matrix_(column, column));
+    row_scale_[column] = largest > 0.0 ? 1.0 / largest : 1.0;
+    scale_[column] = own_entry > 0.0 ? 1.0 / (row_scale_[column] * own_entry) : 0.0;
+  }
+  matrix_ = row_scale_.asDiagonal() * matrix_ * scale_.asDiagonal();
 }
 
 // Rows that do nothing are left out. The others depend on each other seldom enough for the cheaper factor to be tried
@@ -217,28 +418,61 @@ void StageConstraints::factor_matrix() {
   factor_.compute(used_matrix_);
 }
 
-// Sets the change of the impulses that takes the residuals away.
-void StageConstraints::solve_impulses() {
+// Sets the change of the unknowns that takes the residuals away. Where rows share a load the impulses are the least
+// ones, whatever they were before: what sliding contacts share decides about the motion.
+void StageConstraints::solve_unknowns() {
   change_.setZero(residual_.size());
   if (used_.empty()) return;
-  const VecX right = -(scale_.cwiseProduct(residual_) / h_)(used_);
-  change_(used_) = redundant_ ? VecX(factor_.solve(right)) : VecX(lu_.solve(right));
+  VecX right = -(row_scale_.cwiseProduct(residual_) / h_)(used_);
+  if (!redundant_) {
+    change_(used_) = VecX(lu_.solve(right));
+  } else {
+    VecX now = VecX::Zero(residual_.size());
+    for (int k = 0; k < rows_ * stages_; ++k)
+      if (scale_[k] > 0.0) now[k] = lambda_(k % rows_, k / rows_) / scale_[k];
+    const VecX known = now(used_);
+    right += used_matrix_ * known;
+    change_(used_) = VecX(factor_.solve(right) - known);
+  }
   change_.array() *= scale_.array();
 }
 
-void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
-  const int S = stages.padded(), nv = tree_->nv, count = rows_ * stages_;
+// Besides what the correction moves, which is in it.
+void StageConstraints::add_to_residual(const Stages& stages) {
+  const int S = stages.padded(), held = rows_ - fixed_;
+  for (int k = 1; k <= stages_; ++k)
+    for (int r = 0; r < rows_; ++r)
+      if (r < fixed_ || !phase_->by_rate(r - fixed_)) residual_[impulse_at(k - 1, r)] += nodes_[k].phi[r];
+  if (rolling_ > 0) {
+    const Eigen::Map<const MatX> v(stages.v(), S, tree_->nv);
+    for (int i = 0; i < stages_; ++i)
+      for (int r = 0; r < held; ++r)
+        if (phase_->by_rate(r))
+          residual_[impulse_at(i, fixed_ + r)] = h_ * v.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
+  }
+  for (int k = 1; k < stages_; ++k)
+    for (int j = 0; j < slides_; ++j) {
+      double& residual = residual_[direction_at(k, j)];
+      if (turned(k, j))
+        residual = h_ * (angles_(j, k) - angles_(j, k - 1));
+      else
+        residual += h_ * nodes_[k].slip_across[j];
+    }
+}
+
+void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTerms& stiff, bool factor) {
+  const int S = stages.padded(), nv = tree_->nv, count = unknowns();
   const std::size_t size = static_cast<std::size_t>(nv) * S;
   set_charts(stages);
-  if (factor || given_.empty()) make_matrix(stages, stiff);
+  // Which impulses are least depends on the directions of the slips.
+  const bool shares = redundant_ && slides_ > 0;
+  if (factor || changed_turns_ || shares || static_cast<int>(given_.size()) != count) make_matrix(stages, stiff);
+  changed_turns_ = false;
   std::copy_n(stages.dv(), size, changed_.data());
-  to_stages(true, S, changed_.data());
   residual_.resize(count);
   move_rows(changed_.data(), S, residual_);
-  for (int k = 1; k <= stages_; ++k) residual_.segment((k - 1) * rows_, rows_) += nodes_[k].phi;
-  solve_impulses();
-  for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
-  add_impulses();
+  add_to_residual(stages);
+  solve_unknowns();
   // With the impulses' change k of the momenta the correction is D^-1 (r + k), its energy r.dv + 2 k.dv + k.D^-1 k.
   double errors[kMaxStages];
   for (int i = 0; i < stages_; ++i) errors[i] = stages.error(i);
@@ -247,22 +481,139 @@ void StageConstraints::correct(Stages& stages, StiffTerms& stiff, bool factor) {
       const int stage = std::min(i, stages_ - 1);
       const std::size_t at = static_cast<std::size_t>(d) * S + i;
       double push = 0.0, moved = 0.0;
-      for (int l = 0; l < stages_; ++l)
-        for (int c = 0; c < rows_; ++c) {
-          const int column = l * rows_ + c;
-          const double weight = table_->share[stage][l] * change_[column];
-          push += weight * given_[column].data()[at];
-          moved += weight * moved_[column].data()[at];
-        }
+      for (int column = 0; column < count; ++column) {
+        const double weight = table_->share[stage][node_of(column)] * change_[column];
+        push += weight * given_[column].data()[at];
+        moved += weight * moved_[column].data()[at];
+      }
       if (i < stages_) errors[i] += push * (2.0 * stages.dv()[at] + moved);
       stages.dv()[at] += moved;
       stages.v()[at] += moved;
     }
   for (int i = 0; i < stages_; ++i) stages.set_error(i, errors[i]);
+  for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
+  for (int k = 1; k < stages_ && slides_ > 0; ++k) {
+    for (int j = 0; j < slides_; ++j)
+      angles_(j, k) += std::clamp(change_[direction_at(k, j)], -kFarTurn, kFarTurn);
+    direct(nodes_[k], k);
+  }
+  add_impulses();
+  if (slides_ == 0 || stages_ == 1) return;
+  equations.finish(q1_, p1_);
+  equations.place_node(nodes_[stages_].q);
+  knows_end_ = close_slides(equations, p1_);
+}
+
+// The impulse at the end where contacts slide, in momentum and velocity there, by Newton's method on the impulses and
+// the directions of the slips.
+bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
+  Node& end = nodes_[stages_];
+  const Eigen::Index m = rows_, n = m + slides_;
+  MatX X(p1.size(), m + 2 * slides_ + 1);
+  X << end.W, end.T, p1;
+  equations.solve_masses(X);
+  const MatX to_W = end.W.transpose() * X, to_T = end.T.transpose() * X;  // velocities of rows, of tangents
+  if (!to_W.allFinite() || !to_T.allFinite()) return false;
+  // The momentum is p1 + sum_r F_r lambda_r, a sum of the columns of X with these weights.
+  const auto weights = [&] {
+    VecX all = VecX::Zero(X.cols());
+    all[X.cols() - 1] = 1.0;
+    all.head(m) = lambda_.col(stages_);
+    for (int j = 0; j < slides_; ++j) {
+      const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+      const double f = mu * lambda_(fixed_ + normal, stages_), a = angles_(j, stages_);
+      all[m + 2 * j] = -f * std::cos(a);
+      all[m + 2 * j + 1] = -f * std::sin(a);
+    }
+    return all;
+  };
+  MatX A(n, n);
+  VecX b(n), column(X.cols());
+  double before = std::numeric_limits<double>::infinity();
+  for (int k = 0; k < kEndIterations; ++k) {
+    const VecX all = weights(), w = to_W * all, u = to_T * all;
+    // Each column of A is what an unknown makes of the rows' velocities.
+    const auto rows_of = [&](const VecX& c, auto to) {
+      to.head(m) = to_W * c;
+      const VecX t = to_T * c;
+      for (int j = 0; j < slides_; ++j) {
+        const double a = angles_(j, stages_);
+        to[m + j] = std::cos(a) * t[2 * j + 1] - std::sin(a) * t[2 * j];
+      }
+    };
+    for (Eigen::Index r = 0; r < m; ++r) {
+      column.setZero();
+      column[r] = 1.0;
+      for (int j = 0; j < slides_; ++j) {
+        const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+        if (fixed_ + normal != r) continue;
+        column[m + 2 * j] = -mu * std::cos(angles_(j, stages_));
+        column[m + 2 * j + 1] = -mu * std::sin(angles_(j, stages_));
+      }
+      rows_of(column, A.col(r));
+    }
+    b.head(m) = w + end.rate;
+    for (int j = 0; j < slides_; ++j) {
+      const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+      const double f = mu * lambda_(fixed_ + normal, stages_), a = angles_(j, stages_);
+      const double along = std::cos(a) * u[2 * j] + std::sin(a) * u[2 * j + 1];
+      column.setZero();
+      column[m + 2 * j] = f * std::sin(a);
+      column[m + 2 * j + 1] = -f * std::cos(a);
+      rows_of(column, A.col(m + j));
+      A(m + j, m + j) -= along;
+      b[m + j] = std::cos(a) * u[2 * j + 1] - std::sin(a) * u[2 * j];
+      char& back = turned_[static_cast<std::size_t>(stages_ * slides_ + j)];
+      if (along < 0.0) back = 1;
+      if (back != 0) {
+        A.row(m + j).setZero();
+        A(m + j, m + j) = 1.0;
+        b[m + j] = a - angles_(j, stages_ - 1);
+      }
+      slips_(j, stages_) = along;
+    }
+    // Rows in the scale of their own mobility, directions in that of their row.
+    VecX row(n), col(n);
+    double common = 0.0;
+    for (Eigen::Index r = fixed_; r < m; ++r) common = std::max(common, A(r, r));
+    for (Eigen::Index r = 0; r < m; ++r) {
+      const double mobility = r < fixed_ || !(A(r, r) > 0.0) ? A(r, r) : common;
+      row[r] = col[r] = mobility > 0.0 ? 1.0 / std::sqrt(mobility) : 0.0;
+    }
+    for (Eigen::Index r = m; r < n; ++r) {
+      const double largest = A.row(r).head(m).cwiseProduct(col.head(m).transpose()).cwiseAbs().maxCoeff();
+      row[r] = largest > 0.0 ? 1.0 / largest : 1.0;
+      col[r] = A(r, r) != 0.0 ? 1.0 / std::abs(row[r] * A(r, r)) : 0.0;
+    }
+    Eigen::CompleteOrthogonalDecomposition<MatX> factor;
+    factor.setThreshold(kRedundant);
+    VecX now = VecX::Zero(n);
+    for (Eigen::Index r = 0; r < m; ++r) now[r] = col[r] > 0.0 ? lambda_(r, stages_) / col[r] : 0.0;
+    const MatX scaled = row.asDiagonal() * A * col.asDiagonal();
+    factor.compute(scaled);
+    const VecX x = col.cwiseProduct(factor.solve(scaled * now - row.cwiseProduct(b)) - now);
+    if (!x.allFinite()) return false;
+    lambda_.col(stages_) += x.head(m);
+    double turned = 0.0;
+    for (int j = 0; j < slides_; ++j) {
+      const double turn = std::clamp(x[m + j], -kFarTurn, kFarTurn);
+      angles_(j, stages_) += turn;
+      turned = std::max(turned, std::abs(turn));
+    }
+    const bool settled = k > 0 && (turned <= kEndExact || (turned <= kSameDirection && turned >= 0.5 * before));
+    before = turned;
+    if (!settled) continue;
+    direct(end, stages_);
+    p1 += end.F * lambda_.col(stages_);
+    v1_ = X * weights();
+    slips_.col(stages_) = end.along.transpose() * v1_;
+    return v1_.allFinite();
+  }
+  return false;
 }
 
 void StageConstraints::give_up() {
-  const VecX& phi = nodes_[stages_].phi;
+  const auto phi = nodes_[stages_].phi.head(fixed_);
   if (!phi.allFinite()) return;
   double worst = 0.0;
   for (std::size_t i = 0; i < tree_->elements.constraints.size(); ++i) {
@@ -274,12 +625,28 @@ void StageConstraints::give_up() {
   }
 }
 
+// Whether the rows of the phase hold at the end of the step.
+bool StageConstraints::keeps_phase() const {
+  const Node& end = nodes_[stages_];
+  const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
+  for (int r = fixed_; r < rows_; ++r) {
+    if (!phase_->by_rate(r - fixed_) && !(std::abs(end.phi[r]) <= kHeld)) return false;
+    if (!(std::abs(end.W.col(r).dot(v1_)) <= kHeldRate * speed)) return false;
+  }
+  return true;
+}
+
 bool StageConstraints::close(StepEquations& equations, const Stages& stages, const VecCRef& q1, VecRef p1) {
   Node& end = nodes_[stages_];
   end.q = q1;
-  place(end);
+  for (int d = 0; d < tree_->nv; ++d) end.X[d] = stages.sum(stages.rate(), d);
+  place(end, stages_);
   equations.place_node(q1);
-  close_rates(equations, reduction_, end.W, end.rate, p1, v1_, lambda_.col(stages_));
+  if (slides_ == 0) {
+    close_rates(equations, reduction_, end.W, end.rate, p1, v1_, lambda_.col(stages_));
+  } else if (!close_slides(equations, p1)) {
+    return false;
+  }
   sum_ = lambda_.rowwise().sum();
   work_ = mean_work_ = 0.0;
   for (int k = 0; k <= stages_; ++k) {
@@ -287,10 +654,13 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
     work_ += done;
     mean_work_ += (1.0 - table_->d[k]) * done;
   }
+  if (!keeps_phase()) return false;
+  if (fixed_ == 0) return true;
   const Elements& elements = tree_->elements;
-  const ConstraintErrors errors{nodes_[0].phi,
-                                end.phi,
-                                end.W.transpose() * v1_ + end.rate,
+  const auto end_rates = end.W.leftCols(fixed_).transpose();
+  const ConstraintErrors errors{nodes_[0].phi.head(fixed_),
+                                end.phi.head(fixed_),
+                                end_rates * v1_ + end.rate.head(fixed_),
                                 constraint_reach(end.q),
                                 1.0 + v1_.cwiseAbs().maxCoeff() + end.rate.cwiseAbs().maxCoeff(),
                                 0.0};
@@ -298,9 +668,9 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
   if (violated_ >= 0) return false;
   VecX mean = VecX::Zero(tree_->nv);  // velocity of the step
   for (int d = 0; d < tree_->nv; ++d) mean[d] = stages.sum(stages.v(), d) / h_;
-  MatX rates(rows_, stages_ + 1);
-  for (int k = 0; k <= stages_; ++k) rates.col(k) = nodes_[k].rate;
-  violated_ = find_jump(elements, end.W.transpose() * mean, rates, Eigen::Map<const VecX>(table_->e, stages_ + 1), h_);
+  MatX rates(fixed_, stages_ + 1);
+  for (int k = 0; k <= stages_; ++k) rates.col(k) = nodes_[k].rate.head(fixed_);
+  violated_ = find_jump(elements, end_rates * mean, rates, Eigen::Map<const VecX>(table_->e, stages_ + 1), h_);
   return violated_ < 0;
 }
 

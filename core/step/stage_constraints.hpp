@@ -1,5 +1,5 @@
-// Constraints phi(q, t) = 0 in a step of order 2s: impulses at its Lobatto nodes (base/lobatto.hpp) keep the
-// configuration on them at these nodes and, at the end, the velocity.
+// Constraints phi(q, t) = 0 and persistent contacts in a step of order 2s: impulses at its Lobatto nodes
+// (base/lobatto.hpp) keep the configuration on them at these nodes and, at the end, the velocity.
 //
 // With X_k the displacement at node k, W_k the gradients there and Lambda_k the impulses along them,
 //   P_i = p0 + h sum_j a_ij G_j + sum_k share_ik W_k Lambda_k,       phi(q0 (+) X_k, t0 + d_k h) = 0,  k = 1 .. s,
@@ -8,9 +8,15 @@
 // impulses change by what the linearised conditions ask for, and the velocities with them. The last one is found after
 // that. On spherical joints all of this stands in the chart, of whose gradients W_k are made (ball_chart.hpp).
 //
-// With one stage this is the midpoint rule in RATTLE form. Order 2s, symmetric and symplectic: Jay, "Specialized
-// partitioned additive Runge-Kutta methods for systems of overdetermined DAEs with holonomic constraints", SIAM J.
-// Numer. Anal. 45 (2007).
+// Rolling has rows without a phi: W(q_i)^T v_i = 0 at the stages instead, with impulses at the nodes as well, and at the
+// end. The impulses of a sliding contact act along F_k = W_n - mu W_t d_k, d_k the direction of its slip at the node,
+// which is an unknown, too: the slip across it is zero. Velocities at nodes inside of the step are those of the path
+// raised by the velocities at both ends (path.hpp): those of the stages' polynomial alone would cost two orders where
+// the slip turns.
+//
+// With one stage this is the midpoint rule in RATTLE form. Order 2s, symmetric, and symplectic without friction: Jay,
+// "Specialized partitioned additive Runge-Kutta methods for systems of overdetermined DAEs with holonomic constraints",
+// SIAM J. Numer. Anal. 45 (2007); "Lagrange-d'Alembert SPARK integrators for nonholonomic Lagrangian systems" (2009).
 #pragma once
 
 #include <Eigen/LU>
@@ -20,6 +26,8 @@
 #include "base/lobatto.hpp"
 #include "base/reduction.hpp"
 #include "model/placement.hpp"
+#include "step/path.hpp"
+#include "step/phase_rows.hpp"
 #include "step/stages.hpp"
 #include "step/step_equations.hpp"
 #include "step/stiff_terms.hpp"
@@ -30,17 +38,22 @@ class StageConstraints {
  public:
   StageConstraints(const Tree& tree, int stages);
 
-  // The step of length h from (q0, p0), which begins at t0 [s].
-  void begin(const VecCRef& q0, const VecCRef& p0, double t0, double h);
+  // From the next step on these rows are kept as well; null: none.
+  void hold(PhaseRows* rows);
+  // Whether there is anything to keep.
+  bool any() const { return rows_ > 0; }
+
+  // The step of length h from (q0, p0), which begins at t0 [s]; equations: whose node is placed where it is needed.
+  void begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h);
   // Before an iteration on the stages: the nodes to which their velocities lead, and what impulses there give them.
   void place_nodes(Stages& stages);
   // After it: changes the impulses, and with them the correction dv, the velocities and the errors of the stages.
   // factor: the matrix of the impulses is made anew.
-  void correct(Stages& stages, StiffTerms& stiff, bool factor);
+  void correct(StepEquations& equations, Stages& stages, StiffTerms& stiff, bool factor);
   // Momentum that a step without impulses would have to begin with to end as this one, the impulse at its end left out.
   const VecX& start_momentum() const { return p_start_; }
-  // The impulse at the end, of a step that leads to (q1, p1); equations: whose node is placed there. False where the
-  // constraints are not met, or where a prescribed motion jumps.
+  // The impulse at the end, of a step that leads to (q1, p1). False where the constraints are not met, or where a
+  // prescribed motion jumps.
   bool close(StepEquations& equations, const Stages& stages, const VecCRef& q1, VecRef p1);
 
   // Energy of the corrections that rounding of the residuals makes [J].
@@ -50,11 +63,19 @@ class StageConstraints {
   void give_up();
   // The constraint that the last step could not satisfy, -1: none.
   int violated() const { return violated_; }
-  // Of the last step, before the next one begins: its impulses along each row, their work, and how much of this is done
-  // before the stages, in the mean [J].
-  const VecX& impulses() const { return sum_; }
+  // Of the last step, before the next one begins: its impulses along the rows of the constraints, their work, and how
+  // much of this is done before the stages, in the mean [J].
+  auto impulses() const { return sum_.head(fixed_); }
   double work() const { return work_; }
   double mean_work() const { return mean_work_; }
+  // Of the rows of the phase: their impulses (count, s + 1) at the nodes; per sliding contact and node, (slides, s + 1),
+  // the direction of its slip as an angle from the first tangent, and the slip along it [m/s].
+  auto phase_impulses() const { return lambda_.bottomRows(rows_ - fixed_); }
+  const MatX& slip_angles() const { return angles_; }
+  const MatX& slips() const { return slips_; }
+  const LobattoTable& table() const { return *table_; }
+  const VecX& end_velocity() const { return v1_; }
+
   // Mean forces of the rows in the last step, from which the next one starts: all that it depends on.
   const VecX& forces() const { return forces_; }
   void start_from(const VecX& forces) { forces_ = forces; }
@@ -66,40 +87,73 @@ class StageConstraints {
   struct Node {
     double t = 0.0;
     VecX q, X, phi, rate;
-    MatX W, chart;  // gradients (nv, m), and those by the chart at the start of the step
+    // Gradients, tangents of sliding contacts, directions in which impulses act: (nv, m), (nv, 2 slides), (nv, m).
+    MatX W, T, F;
+    // Along the slip and across it, (nv, slides).
+    MatX along, across;
+    MatX chart_W, chart_F, chart_across;  // by the chart at the start of the step
+    VecX slip_across;                     // velocities
     Placements at;
     explicit Node(const Tree& tree);
   };
-  void place(Node& node);
+  // An unknown of the stage equations: the impulse of a row at a node, or the direction of a slip there.
+  int unknowns() const { return rows_ * stages_ + slides_ * (stages_ - 1); }
+  int impulse_at(int node, int row) const { return node * rows_ + row; }
+  int direction_at(int node, int slide) const { return rows_ * stages_ + (node - 1) * slides_ + slide; }
+  int node_of(int unknown) const;
+  void resize();
+  void place(Node& node, int number);
+  void direct(Node& node, int number);
+  void to_chart(const Node& node, const MatX& from, MatX& to) const;
+  void place_rates(const Stages& stages);
+  bool find_slips();
+  bool turned(int node, int slide) const { return turned_[static_cast<std::size_t>(node * slides_ + slide)] != 0; }
   void add_impulses();
   void make_matrix(Stages& stages, StiffTerms& stiff);
+  void scale_matrix(int S);
   void factor_matrix();
-  void solve_impulses();
+  void solve_unknowns();
   void set_charts(const Stages& stages);
   void to_stages(bool transposed, int S, double* x) const;
-  void move_rows(const double* x, int S, VecRef moved);
+  void move_rows(double* x, int S, VecRef moved);
+  void add_to_residual(const Stages& stages);
+  bool close_slides(StepEquations& equations, VecRef p1);
+  bool keeps_phase() const;
 
   const Tree* tree_;
+  PhaseRows* phase_ = nullptr;
   const LobattoTable* table_;
-  int rows_, stages_;
+  int fixed_, rows_, stages_;    // rows of the constraints, of all, of the stages
+  int slides_ = 0, rolling_ = 0;  // sliding contacts, rows of velocities
   VecX q0_, p0_, p_start_, impulse_;
   double h_ = 0.0;
   std::vector<Node> nodes_;  // s + 1
   MatX lambda_;              // (m, s + 1)
+  MatX angles_, slips_;      // (slides, s + 1)
+  // Per node and slide, whether the slip has turned back: it keeps the direction of the node before it, so that the
+  // equations stay smooth beyond the place where the slip ends.
+  std::vector<char> turned_;
   MatX to_nodes_;            // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
+  MatX at_nodes_;            // (s, s): rates at the stages -> those of their polynomial at the nodes after the first
   MatX displaced_;           // (nv, s)
-  // Per node k < s and row, all stages: what a unit impulse gives their momenta, and with D^-1 their velocities.
+  std::vector<MatX> rolls_;  // per stage: W of all rows of the phase there, (nv, count)
+  StepPath path_;
+  MatX stage_rates_;
+  VecX v0_, q_stage_, X_stage_, phi_, v_node_;
+  bool changed_turns_ = false;  // since the matrix was made
+  bool knows_end_ = false;  // whether v1_ is near the velocity at the end of this step
+  // Per unknown, all stages: what a unit of it gives their momenta, and with D^-1 their velocities.
   std::vector<AlignedArray> given_, moved_;
   AlignedArray kept_, changed_;
   std::vector<Mat3> charts_;  // inverse right Jacobians, of each spherical joint at each stage
-  VecX scale_, residual_, change_;
+  VecX row_scale_, scale_, residual_, change_;
   MatX matrix_, used_matrix_;
   std::vector<int> used_;  // rows of the matrix that do something
   bool redundant_ = false;
   Eigen::PartialPivLU<MatX> lu_;
   Eigen::CompleteOrthogonalDecomposition<MatX> factor_;
   Reduction reduction_;
-  VecX forces_, sum_, v1_;
+  VecX forces_, sum_, v1_, q1_, p1_;
   double work_ = 0.0, mean_work_ = 0.0;
   double rounding_ = 0.0;
   int violated_ = -1;

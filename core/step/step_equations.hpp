@@ -47,6 +47,8 @@ class StepEquations {
   int padded_stages() const { return stages_.padded(); }
   // Configuration and velocity at stage i of the step just solved.
   void stage_state(int i, VecRef q, VecRef v);
+  // The part of the step after which it comes.
+  double stage_place(int i) const { return stages_.table().c[i]; }
   // Torque of the servo of dof d at stage i of the step just solved [N; N m].
   double servo_torque(int d, int i) const { return stages_.servo_torque(d, i); }
   // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;

@@ -1,0 +1,79 @@
+#include "contact/persistent_rows.hpp"
+
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+constexpr double kStill = 1e-11;  // of the speeds: slip below it has no direction
+}  // namespace
+
+void PersistentRows::set(const std::vector<PersistentContact>& contacts, int places) {
+  contacts_ = &contacts;
+  const std::size_t n = contacts.size();
+  rows_.resize(n);
+  slide_.assign(n, -1);
+  references_.resize(n);
+  sliding_.clear();
+  slides_.clear();
+  by_rate_.clear();
+  for (std::size_t i = 0; i < n; ++i) {
+    const PersistentContact& c = contacts[i];
+    rows_[i] = static_cast<int>(by_rate_.size());
+    by_rate_.push_back(0);
+    if (c.mu == 0.0) continue;
+    if (c.sticks) {
+      by_rate_.insert(by_rate_.end(), 2, c.point.material ? 0 : 1);
+    } else {
+      slide_[i] = static_cast<int>(slides_.size());
+      slides_.push_back({rows_[i], c.mu});
+      sliding_.push_back(i);
+    }
+  }
+  count_ = static_cast<int>(by_rate_.size());
+  sites_.resize(static_cast<std::size_t>(places));
+  for (std::vector<Site>& sites : sites_) sites.resize(n);
+}
+
+void PersistentRows::place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) {
+  guards_->place(q);
+  std::vector<Site>& sites = sites_[static_cast<std::size_t>(place)];
+  for (std::size_t i = 0; i < contacts_->size(); ++i) {
+    const PersistentContact& c = (*contacts_)[i];
+    Site& site = sites[i];
+    geometry_.evaluate(c.point, site.contact);
+    if (place == 0) {
+      site.t1 = geometry_.start_tangent(c, site.contact);
+      if (c.point.material) references_[i] = geometry_.reference(c);
+    } else {
+      site.t1 = geometry_.tangent(c, site.contact, sites_[0][i].contact, sites_[0][i].t1);
+    }
+    const int r = rows_[i];
+    phi[r] = site.contact.gap;
+    if (c.mu == 0.0) {
+      guards_->rows(c.point.guard, site.contact, site.t1, W.middleCols(r, 1));
+      continue;
+    }
+    guards_->rows(c.point.guard, site.contact, site.t1, row_of_);
+    W.col(r) = row_of_.col(0);
+    if (!c.sticks) {
+      T.middleCols<2>(2 * slide_[i]) = row_of_.rightCols<2>();
+      continue;
+    }
+    W.middleCols<2>(r + 1) = row_of_.rightCols<2>();
+    if (c.point.material)
+      phi.segment<2>(r + 1) = geometry_.displacement(c, references_[i]);
+    else
+      phi.segment<2>(r + 1).setZero();
+  }
+}
+
+double PersistentRows::start_angle(int slide, const Eigen::Vector2d& slip, double speed) const {
+  if (slip.norm() > kStill * (1.0 + speed)) return std::atan2(slip[1], slip[0]);
+  const std::size_t i = sliding_[static_cast<std::size_t>(slide)];
+  const Vec3& heading = (*contacts_)[i].heading;
+  const Site& start = sites_[0][i];
+  return std::atan2(heading.dot(start.contact.normal.cross(start.t1)), heading.dot(start.t1));
+}
+
+}  // namespace contactvi

@@ -1,0 +1,54 @@
+// Persistent contacts as the rows of smooth steps: what sticks has three, what slides or has no friction one.
+//
+// A material point sticks where its displacement on the other surface stays zero. Surfaces that roll on each other have
+// no such displacement: the velocity of their slip is zero.
+#pragma once
+
+#include "contact/persistent_geometry.hpp"
+#include "step/phase_rows.hpp"
+
+namespace contactvi {
+
+class PersistentRows final : public PhaseRows {
+ public:
+  PersistentRows(Guards& guards, int nv) : guards_(&guards), geometry_(guards), row_of_(nv, 3) {}
+
+  // Takes the contacts as they stick and slide now; places: at which a step looks at them.
+  void set(const std::vector<PersistentContact>& contacts, int places);
+
+  int count() const override { return count_; }
+  bool by_rate(int row) const override { return by_rate_[static_cast<std::size_t>(row)] != 0; }
+  const std::vector<Slide>& slides() const override { return slides_; }
+  void place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) override;
+  double start_angle(int slide, const Eigen::Vector2d& slip, double speed) const override;
+
+  // Of contact i: its first row, and its number among the sliding ones, -1: it does not slide.
+  int row(std::size_t i) const { return rows_[i]; }
+  int slide(std::size_t i) const { return slide_[i]; }
+  // Of a material point: from where its displacement counts (PersistentGeometry).
+  const Vec3& reference(std::size_t i) const { return references_[i]; }
+  // Where it is at a place of the step: its first tangent, world.
+  struct Site {
+    Contact contact;
+    Vec3 t1;
+    Vec3 world(double n, double t, double s) const {
+      return n * contact.normal + t * t1 + s * contact.normal.cross(t1);
+    }
+  };
+  const Site& site(int place, std::size_t i) const { return sites_[static_cast<std::size_t>(place)][i]; }
+
+ private:
+  Guards* guards_;
+  PersistentGeometry geometry_;
+  const std::vector<PersistentContact>* contacts_ = nullptr;
+  int count_ = 0;
+  std::vector<int> rows_, slide_;
+  std::vector<std::size_t> sliding_;  // contact of each slide
+  std::vector<char> by_rate_;
+  std::vector<Slide> slides_;
+  std::vector<Vec3> references_;
+  std::vector<std::vector<Site>> sites_;
+  MatX row_of_;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,276 @@
+#include "run/contact_modes.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace contactvi {
+
+namespace {
+constexpr double kStill = 1e-11;  // of the speeds: slip below it is rest
+// Of the largest acceleration: one that begins a slip. Where contacts share a load the forces agree to 1e-7.
+constexpr double kBegins = 1e-6;
+// Switch functions are known to rounding of 1e-12 by their finder; continuous forces to this times as much.
+constexpr double kCoarse = 1e3;
+// Of the larger one of two forces, or of the cone: a force that is extrapolated to less, or comes closer, may reach zero
+// or the cone in the step.
+constexpr double kFalling = 0.35, kInside = 0.8;
+constexpr double kTogether = 1e-6;  // of the forces: contacts whose margins differ less slip together
+constexpr double kParadox = 1e-6;   // of G_nn: a sliding contact with a smaller A is left to contact steps
+}  // namespace
+
+ContactModes::ContactModes(const Scene& scene, Guards& guards, ContactStep& step, Integrator& integrator)
+    : scene_(&scene), guards_(&guards), step_(&step), integrator_(&integrator), rows_(guards, scene.tree.nv) {}
+
+void ContactModes::end_step() {
+  if (active_) integrator_->hold(nullptr);
+  active_ = watches_ = false;
+}
+
+bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX& tau) {
+  std::vector<PersistentContact>& contacts = step_->contacts();
+  if (!step_->modes_known() && !find_modes(q, v, t, tau)) return false;
+  step_->set_modes_known();
+  endings_.clear();
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    endings_.push_back({i, End::kRelease});
+    if (contacts[i].mu > 0.0) endings_.push_back({i, contacts[i].sticks ? End::kSlip : End::kStick});
+  }
+  rows_.set(contacts, 2 * integrator_->stages() + 1);
+  integrator_->hold(&rows_);
+  active_ = true;
+  watches_ = false;
+  t_ = t;
+  return true;
+}
+
+// Which contacts stick, from the accelerations at the start of a phase.
+bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX& tau) {
+  std::vector<PersistentContact>& contacts = step_->contacts();
+  directions_.assign(contacts.size(), Vec3::Zero());
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    contacts[i].heading.setZero();
+    if (contacts[i].mu > 0.0 && !contacts[i].sticks) directions_[i] = contacts[i].slip;
+  }
+  if (!step_->forces_at(*integrator_, q, v, t, tau, directions_, forces_)) return false;
+  const double begins = kBegins * forces_.largest;
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    PersistentContact& c = contacts[i];
+    if (c.mu == 0.0) continue;
+    const int r = step_->row(i);
+    if (c.sticks) {
+      const Eigen::Vector2d a = forces_.a.segment<2>(r + 1);
+      if (!(a.norm() > begins) || !(forces_.f[r] > 0.0)) continue;
+      const Vec3& t1 = step_->force_tangent(i);
+      c.heading = (a[0] * t1 + a[1] * step_->force_contact(i).normal.cross(t1)).normalized();
+      c.sticks = c.anchored = false;
+      directions_[i] = c.heading;
+    }
+    if (is_paradox(i)) return false;
+  }
+  return true;
+}
+
+// Whether no force keeps a contact closed that slides along directions_: A = W_n M^-1 (W_n - mu W_t d) <= 0.
+bool ContactModes::is_paradox(std::size_t i) const {
+  const MatX& G = step_->force_matrix();
+  const int r = step_->row(i);
+  const Vec3& t1 = step_->force_tangent(i);
+  const Vec3 d = directions_[i].normalized();
+  const double a = d.dot(t1), b = d.dot(step_->force_contact(i).normal.cross(t1));
+  return G(r, r) - step_->contacts()[i].mu * (a * G(r, r + 1) + b * G(r, r + 2)) <= kParadox * G(r, r);
+}
+
+bool ContactModes::fits(const VecX& q1) {
+  guards_->place(q1);
+  for (const PersistentContact& c : step_->contacts()) {
+    if (c.point.kind == PointKind::kWitness || c.point.kind == PointKind::kLimit) continue;
+    if (!guards_->manifolds().valid(c.point, guards_->placements(c.point.guard))) return false;
+  }
+  return true;
+}
+
+void ContactModes::take_step(double h, const VecX& tau) {
+  h_ = h;
+  tau_ = tau;
+  const int s = integrator_->stages();
+  const MatX& angles = integrator_->constraints()->slip_angles();
+  headings_.assign(static_cast<std::size_t>(s) + 1, std::vector<Vec3>(step_->contacts().size(), Vec3::Zero()));
+  for (int k = 0; k <= s; ++k)
+    for (std::size_t i = 0; i < step_->contacts().size(); ++i) {
+      const int j = rows_.slide(i);
+      if (j < 0) continue;
+      headings_[static_cast<std::size_t>(k)][i] =
+          rows_.site(k, i).world(0.0, std::cos(angles(j, k)), std::sin(angles(j, k)));
+    }
+  watches_ = may_end();
+}
+
+// Direction of the slip of contact i, roughly: it only tells which way along its slip is forward.
+Vec3 ContactModes::direction(double at, std::size_t i) const {
+  const LobattoTable& table = integrator_->constraints()->table();
+  int k = 0;
+  while (k < table.s && table.d[k + 1] <= at) ++k;
+  return headings_[static_cast<std::size_t>(k)][i];
+}
+
+// By the impulses of the step: forces to leading order, and slips.
+bool ContactModes::may_end() const {
+  const StageConstraints& rows = *integrator_->constraints();
+  const LobattoTable& table = rows.table();
+  const auto impulses = rows.phase_impulses();
+  const std::vector<PersistentContact>& contacts = step_->contacts();
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const int r = rows_.row(i), j = rows_.slide(i);
+    double least = INFINITY, largest = 0.0, slowest = INFINITY, fastest = 0.0;
+    for (int k = 0; k <= table.s; ++k) {
+      const double n = impulses(r, k) / table.e[k];
+      least = std::min(least, n);
+      largest = std::max(largest, std::abs(n));
+      if (j >= 0) {
+        slowest = std::min(slowest, rows.slips()(j, k));
+        fastest = std::max(fastest, rows.slips()(j, k));
+      } else if (contacts[i].mu > 0.0) {
+        const double t = impulses.block(r + 1, k, 2, 1).norm() / table.e[k];
+        if (!(t < kInside * contacts[i].mu * n)) return true;
+      }
+    }
+    if (!(least > kFalling * largest) || (j >= 0 && !(slowest > kFalling * fastest))) return true;
+  }
+  return false;
+}
+
+double ContactModes::friction_work() const {
+  if (!active_) return 0.0;
+  const StageConstraints& rows = *integrator_->constraints();
+  double work = 0.0;
+  for (std::size_t i = 0; i < step_->contacts().size(); ++i)
+    if (const int j = rows_.slide(i); j >= 0)
+      work -= step_->contacts()[i].mu * rows.phase_impulses().row(rows_.row(i)).dot(rows.slips().row(j));
+  return work;
+}
+
+void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef values) {
+  const std::vector<PersistentContact>& contacts = step_->contacts();
+  for (std::size_t i = 0; i < contacts.size(); ++i)
+    directions_[i] = rows_.slide(i) < 0 ? Vec3(Vec3::Zero()) : direction(at, i);
+  const bool found = step_->forces_at(*integrator_, q, v, t_ + at * h_, tau_, directions_, forces_);
+  integrator_->set_time(t_);
+  if (!found) {
+    values.setConstant(std::numeric_limits<double>::quiet_NaN());
+    return;
+  }
+  const MatX& G = step_->force_matrix();
+  const double largest = forces_.largest, speed = 1.0 + v.cwiseAbs().maxCoeff();
+  for (std::size_t k = 0; k < endings_.size(); ++k) {
+    const std::size_t i = endings_[k].contact;
+    const int r = step_->row(i);
+    const double size = kCoarse * std::max(forces_.scale, largest / G(r, r));
+    double& value = values[static_cast<Eigen::Index>(k)];
+    switch (endings_[k].end) {
+      case End::kRelease:
+        value = (forces_.f[r] > 0.0 ? forces_.f[r] : -forces_.a[r] / G(r, r)) / size;
+        break;
+      case End::kSlip: {
+        const double a = forces_.a.segment<2>(r + 1).norm();
+        value = a > kBegins * largest ? -a / G(r, r) : std::max(0.0, forces_.margin(r, contacts[i].mu));
+        value /= size;
+        break;
+      }
+      case End::kStick: {
+        const Vec3& t1 = step_->force_tangent(i);
+        const Vec3 t2 = step_->force_contact(i).normal.cross(t1);
+        const Eigen::Vector2d slip = step_->force_slip(i), d(directions_[i].dot(t1), directions_[i].dot(t2));
+        value = slip.dot(d) / speed;
+        break;
+      }
+    }
+  }
+}
+
+void ContactModes::begin_slip(std::size_t first) {
+  std::vector<PersistentContact>& contacts = step_->contacts();
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    PersistentContact& c = contacts[i];
+    if (c.mu == 0.0 || !c.sticks) continue;
+    const int r = step_->row(i);
+    const Eigen::Vector2d f = forces_.f.segment<2>(r + 1);
+    if (i != first && !(forces_.margin(r, c.mu) <= kTogether * forces_.scale && f.norm() > 0.0)) continue;
+    const Vec3& t1 = step_->force_tangent(i);
+    c.heading = -(f[0] * t1 + f[1] * step_->force_contact(i).normal.cross(t1)).normalized();
+    c.sticks = c.anchored = false;
+  }
+  step_->leave();
+}
+
+void ContactModes::come_to_rest(std::size_t first, const VecX& v) {
+  std::vector<PersistentContact>& contacts = step_->contacts();
+  const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    PersistentContact& c = contacts[i];
+    if (c.mu == 0.0 || c.sticks || (i != first && c.slip.norm() > still)) continue;
+    c.sticks = true;
+    c.anchored = false;
+    c.slip.setZero();
+  }
+  step_->invalidate();
+}
+
+void ContactModes::commit(double time, long step, bool wanted, Recording& recording) {
+  const StageConstraints& rows = *integrator_->constraints();
+  const LobattoTable& table = rows.table();
+  const auto impulses = rows.phase_impulses();
+  const double h = integrator_->length();
+  const int s = table.s;
+  std::vector<PersistentContact>& contacts = step_->contacts();
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    PersistentContact& c = contacts[i];
+    const int r = rows_.row(i), j = rows_.slide(i);
+    Vec3 first = Vec3::Zero(), last = Vec3::Zero(), first_W = first, last_W = first;
+    double work = 0.0;
+    for (int k = 0; k <= s; ++k) {
+      Vec3 impulse(impulses(r, k), 0.0, 0.0);
+      if (j >= 0) {
+        const double angle = rows.slip_angles()(j, k), friction = c.mu * impulse[0];
+        impulse.tail<2>() = -friction * Eigen::Vector2d(std::cos(angle), std::sin(angle));
+        work -= friction * rows.slips()(j, k);
+      } else if (c.mu > 0.0) {
+        impulse.tail<2>() = impulses.block(r + 1, k, 2, 1);
+      }
+      const Vec3 world = rows_.site(k, i).world(impulse[0], impulse[1], impulse[2]);
+      first += (1.0 - table.d[k]) * impulse;
+      last += table.d[k] * impulse;
+      first_W += (1.0 - table.d[k]) * world;
+      last_W += table.d[k] * world;
+    }
+    const PersistentRows::Site& end = rows_.site(s, i);
+    c.force = (first + last) / h;
+    if (c.mu > 0.0 && c.point.kind != PointKind::kVertex) c.tangent = end.t1;
+    c.slip.setZero();
+    if (j >= 0) {
+      const double angle = rows.slip_angles()(j, s);
+      c.slip = rows.slips()(j, s) * end.world(0.0, std::cos(angle), std::sin(angle));
+      c.heading = end.world(0.0, std::cos(angle), std::sin(angle));
+    } else if (c.point.material && c.mu > 0.0 && !c.anchored) {
+      c.anchor = rows_.reference(i);
+      c.anchored = true;
+    }
+    if (!wanted) continue;
+    if (!scene_->is_pair(c.point.guard)) {
+      const Vec3 zero = Vec3::Zero();
+      recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, step, zero, zero, first, last,
+                              end.contact.gap, zero);
+      continue;
+    }
+    const ContactMode mode = c.mu == 0.0 ? ContactMode::kFrictionless
+                             : j >= 0    ? ContactMode::kSlips
+                                         : ContactMode::kSticks;
+    recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, step,
+                            0.5 * (end.contact.point_a + end.contact.point_b), end.contact.normal, first_W, last_W,
+                            end.contact.gap, c.slip, work);
+  }
+  step_->leave();
+  step_->follow(rows.end_velocity());
+}
+
+}  // namespace contactvi

@@ -1,0 +1,74 @@
+// What persistent contacts do in smooth steps: which of them stick and which slide, and where that ends.
+//
+// In a smooth step the contacts are rows that hold from its start to its end (contact/persistent_rows.hpp). A phase ends
+// where the continuous force of a contact comes to zero, where it leaves its friction cone, or where a slip comes to
+// rest. Continuous forces are those of accelerations (ContactStep::forces_at), which are exact at any state: impulses of
+// a step tell forces to order s only, and where contacts share a load not at all.
+#pragma once
+
+#include <vector>
+
+#include "contact/contact_step.hpp"
+#include "contact/persistent_rows.hpp"
+#include "event/switch_finder.hpp"
+#include "record/recording.hpp"
+#include "step/integrator.hpp"
+
+namespace contactvi {
+
+class ContactModes final : public SwitchFunctions {
+ public:
+  ContactModes(const Scene& scene, Guards& guards, ContactStep& step, Integrator& integrator);
+
+  // The next smooth step starts at (q, v) at t [s]: it holds the contacts as they are there. False: it cannot; the
+  // reason may be that forces were not found, or that no force keeps a sliding contact closed.
+  bool begin_step(const VecX& q, const VecX& v, double t, const VecX& tau);
+  // The next smooth steps hold no contacts.
+  void end_step();
+  bool active() const { return active_; }
+
+  // The step of length h from q0 was solved to q1: whether its contacts are still those of the features that touch, and
+  // whether what they do may end in it.
+  bool fits(const VecX& q1);
+  void take_step(double h, const VecX& tau);
+  bool may_end() const;
+  double friction_work() const;  // in the step just solved [J], <= 0
+
+  int count() const override { return active_ && watches_ ? static_cast<int>(endings_.size()) : 0; }
+  void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;
+
+  enum class End { kRelease, kSlip, kStick };
+  struct Ending {
+    std::size_t contact;
+    End end;
+  };
+  const Ending& ending(int function) const { return endings_[static_cast<std::size_t>(function)]; }
+  // Contact i begins to slip, or comes to rest, at the state where evaluate() was called last; with it all others that
+  // are as far.
+  void begin_slip(std::size_t i);
+  void come_to_rest(std::size_t i, const VecX& v);
+
+  // The step, or the part of it that was solved last, is taken: its forces are recorded, and the contacts are where it
+  // ends, at (q1, v1). rows: whether forces are wanted in the record.
+  void commit(double time, long step, bool rows, Recording& recording);
+
+ private:
+  bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau);
+  bool is_paradox(std::size_t i) const;
+  Vec3 direction(double at, std::size_t i) const;
+
+  const Scene* scene_;
+  Guards* guards_;
+  ContactStep* step_;
+  Integrator* integrator_;
+  PersistentRows rows_;
+  bool active_ = false, watches_ = false;
+  std::vector<Ending> endings_;
+  double t_ = 0.0, h_ = 0.0;
+  VecX tau_;
+  std::vector<std::vector<Vec3>> headings_;  // per node of the whole step, and contact
+  std::vector<Vec3> directions_;
+  ContactStep::Forces forces_;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,70 @@
+// Simulator: persistent contacts in smooth steps of any order (contact_modes.hpp).
+//
+// Where a smooth step cannot hold them, because it is not solved, or a feature changes in it, it is halved; what is as
+// short as a contact step is left to these for a while. They take impulses inside of a step as they come.
+#include <algorithm>
+#include <cmath>
+
+#include "run/simulator.hpp"
+#include <cstdio>
+#include <cstdlib>
+
+namespace contactvi {
+
+namespace {
+constexpr double kNearContactStep = 2.0;  // lengths of contact steps: smooth steps that fail are not halved below it
+constexpr double kLongestSpan = 64.0;     // lengths of contact steps that are made one after the other
+constexpr double kAtOnce = 1e-9;          // [s] of 1 s + t: spans follow each other
+}  // namespace
+
+bool Simulator::may_hold_contacts(double time) const {
+  return keeps_constraints(scene_->tree, options_) && !contact_step_.contacts().empty() &&
+         time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
+}
+
+bool Simulator::leave_to_contact_steps(double time) {
+  if (std::getenv("CVDBG")) std::fprintf(stderr, "leave t=%.9f why=%s\n", time, integrator_.why());
+  modes_.end_step();
+  integrator_.forget();
+  contact_step_.invalidate();
+  ContactStepsUntil& until = state_.contact_steps;
+  const bool at_once = time - until.time <= until.span;
+  until.span = at_once ? std::min(2.0 * until.span, kLongestSpan * contact_dt()) : contact_dt();
+  until.time = time + until.span;
+  return true;
+}
+
+// A smooth step of length h with persistent contacts was not taken.
+bool Simulator::shorten_held_step(double h, double time, int line) {
+  if (std::getenv("CVDBG")) std::fprintf(stderr, "shorten t=%.9f h=%g why=%s at %d\n", time, h, integrator_.why(), line);
+  if (user_function_failed(time)) return false;
+  if (h <= kNearContactStep * contact_dt()) return leave_to_contact_steps(time);
+  modes_.end_step();
+  integrator_.forget();
+  state_.control.halve_free(h);
+  return true;
+}
+
+// What the function of the modes says at a state that ends a step or begins one happens to the contacts.
+void Simulator::change_contact(int function, double time, const VecX& v, Recording& recording) {
+  const ContactModes::Ending ending = modes_.ending(function);
+  if (std::getenv("CVDBG")) std::fprintf(stderr, "change t=%.12f contact %zu end %d\n", time, ending.contact, (int)ending.end);
+  const ContactPoint point = contact_step_.contacts()[ending.contact].point;
+  switch (ending.end) {
+    case ContactModes::End::kRelease:
+      modes_.end_step();
+      contacts_.release(static_cast<int>(ending.contact), time, recording);
+      finder_.cut();
+      break;
+    case ContactModes::End::kSlip:
+      record_change(time, point, Change::kSlip, 0.0, recording);
+      modes_.begin_slip(ending.contact);
+      break;
+    case ContactModes::End::kStick:
+      record_change(time, point, Change::kStick, 0.0, recording);
+      modes_.come_to_rest(ending.contact, v);
+      break;
+  }
+}
+
+}  // namespace contactvi

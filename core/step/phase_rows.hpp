@@ -1,0 +1,35 @@
+// Rows that a step keeps besides the constraints of the scene, as long as a phase of persistent contact lasts: closed
+// gaps, material points that stick to each other, surfaces that roll on each other.
+//
+// Each row has an impulse at every node of a step, which acts along its gradient. Beside its normal row a sliding
+// contact has no rows but two tangents: its friction is mu times its normal impulse, against its slip.
+#pragma once
+
+#include <vector>
+
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+class PhaseRows {
+ public:
+  // A sliding contact: the row of its gap.
+  struct Slide {
+    int normal;
+    double mu;
+  };
+
+  virtual ~PhaseRows() = default;
+  virtual int count() const = 0;
+  // Whether a row is one of velocities, W.v = 0, which has no displacement that it is the rate of.
+  virtual bool by_rate(int row) const = 0;
+  virtual const std::vector<Slide>& slides() const = 0;
+  // Sets, at a configuration of the step, the displacements phi (count,), the gradients W (nv, count), and the tangents
+  // T (nv, 2 per slide). Tangents turn with their surfaces from place 0 on, the start of the step, which comes first.
+  virtual void place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) = 0;
+  // Direction of the slip at the start, as an angle from the first tangent [rad]; slip: its components there, of a
+  // motion of this speed.
+  virtual double start_angle(int slide, const Eigen::Vector2d& slip, double speed) const = 0;
+};
+
+}  // namespace contactvi
