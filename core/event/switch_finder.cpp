@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 
 #include "base/tolerances.hpp"
 
@@ -140,16 +142,20 @@ Search SwitchFinder::cross(const Sample& a, const Sample& b) {
   double root = 2.0, slope = 0.0;
   for (Eigen::Index k = 0; k < b.values.size(); ++k) {
     const int number = static_cast<int>(k);
-    if (!is_armed(number)) {
-      if (!(b.values[k] < -kZero)) continue;
+    if (is_armed(number) ? b.values[k] > 0.0 : b.values[k] >= -kZero) continue;
+    if (start_[k] <= kZero) {
+      // It has begun at zero: whether it has left that is not for the polynomial to say.
+      if (!exact(b.at, values_)) return Search::kNewtonFailed;
+      if (values_[k] >= -kZero) {
+        armed_[static_cast<std::size_t>(k)] = 0;
+        continue;
+      }
       if (a.at <= 0.0) {  // it is below zero from the start on
         which_ = number;
         alpha_ = 0.0;
         return Search::kFound;
       }
-      // It has stayed zero so far.
     }
-    if (b.values[k] > 0.0) continue;
     const double drop = a.values[k] - b.values[k];
     const double at = drop > 0.0 ? a.at + (b.at - a.at) * std::clamp(a.values[k] / drop, 0.0, 1.0) : b.at;
     if (at < root) {
@@ -158,7 +164,7 @@ Search SwitchFinder::cross(const Sample& a, const Sample& b) {
       function = number;
     }
   }
-  return locate(function, a.at, b.at, root, slope);
+  return function < 0 ? Search::kNone : locate(function, a.at, b.at, root, slope);
 }
 
 // lo, hi: the function is positive and negative there on the polynomial, with this slope. It may be so not on the exact
@@ -179,6 +185,7 @@ Search SwitchFinder::locate(int function, double lo, double hi, double root, dou
         value = values[other];
         before = -1.0;
       }
+    if (std::getenv("CVSW")) std::fprintf(stderr, "locate f %d x %.12g value %g lo %g hi %g slope %g\n", function, x, value, lo, hi, slope);
     which_ = function;
     alpha_ = x;
     const bool stays = before >= 0.0 && std::abs(value) >= 0.25 * std::abs(value_before);

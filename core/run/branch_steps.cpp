@@ -28,7 +28,7 @@ bool Simulator::begin_branches(const Interval& interval) {
 bool Simulator::enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved, Recording& recording) {
   integrator_.forget();
   if (switches_.which() >= branches_.count()) {
-    change_contact(switches_.which() - branches_.count(), interval.start + interval.done, v, recording);
+    change_contact(switches_.which() - branches_.count(), interval.start + interval.done, v, moved, recording);
     if (!moved && !state_.control.count_standstill()) return leave_to_contact_steps(interval.start + interval.done);
     return true;
   }

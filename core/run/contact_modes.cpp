@@ -3,18 +3,21 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <cstdio>
+#include <cstdlib>
 
 namespace contactvi {
 
 namespace {
 constexpr double kStill = 1e-11;  // of the speeds: slip below it is rest
 // Of the largest acceleration: one that begins a slip. Where contacts share a load the forces agree to 1e-7.
-constexpr double kBegins = 1e-6;
+constexpr double kBegins = 1e-7;
 // Switch functions are known to rounding of 1e-12 by their finder; continuous forces to this times as much.
 constexpr double kCoarse = 1e3;
 // Of the larger one of two forces, or of the cone: a force that is extrapolated to less, or comes closer, may reach zero
 // or the cone in the step.
 constexpr double kFalling = 0.35, kInside = 0.8;
+constexpr double kBegun = 1e-9;  // of the speeds: the path of a step knows no slower slip that begins with it
 constexpr double kTogether = 1e-6;  // of the forces: contacts whose margins differ less slip together
 constexpr double kParadox = 1e-6;   // of G_nn: a sliding contact with a smaller A is left to contact steps
 }  // namespace
@@ -104,6 +107,11 @@ void ContactModes::take_step(double h, const VecX& tau) {
           rows_.site(k, i).world(0.0, std::cos(angles(j, k)), std::sin(angles(j, k)));
     }
   watches_ = may_end();
+  const StageConstraints& rows = *integrator_->constraints();
+  shares_ = rows.shares_load();
+  begins_.assign(step_->contacts().size(), 0);
+  for (std::size_t i = 0; i < begins_.size(); ++i)
+    if (const int j = rows_.slide(i); j >= 0) begins_[i] = rows.slips()(j, 0) < kBegun ? 1 : 0;
 }
 
 // Direction of the slip of contact i, roughly: it only tells which way along its slip is forward.
@@ -140,6 +148,23 @@ bool ContactModes::may_end() const {
   return false;
 }
 
+// How far the friction of contact i is from its cone [N]. Where contacts share a load only that of all points of a pair
+// together is known.
+double ContactModes::stick_margin(std::size_t i) const {
+  const std::vector<PersistentContact>& contacts = step_->contacts();
+  if (!shares_) return std::max(0.0, forces_.margin(step_->row(i), contacts[i].mu));
+  double normal = 0.0;
+  Vec3 friction = Vec3::Zero();
+  for (std::size_t k = 0; k < contacts.size(); ++k) {
+    if (contacts[k].point.guard != contacts[i].point.guard) continue;
+    const int r = step_->row(k);
+    const Vec3& t1 = step_->force_tangent(k);
+    normal += forces_.f[r];
+    friction += forces_.f[r + 1] * t1 + forces_.f[r + 2] * step_->force_contact(k).normal.cross(t1);
+  }
+  return std::max(0.0, contacts[i].mu * normal - friction.norm());
+}
+
 double ContactModes::friction_work() const {
   if (!active_) return 0.0;
   const StageConstraints& rows = *integrator_->constraints();
@@ -173,15 +198,15 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
         break;
       case End::kSlip: {
         const double a = forces_.a.segment<2>(r + 1).norm();
-        value = a > kBegins * largest ? -a / G(r, r) : std::max(0.0, forces_.margin(r, contacts[i].mu));
-        value /= size;
+        value = (a > kBegins * largest ? -a / G(r, r) : stick_margin(i)) / size;
         break;
       }
       case End::kStick: {
         const Vec3& t1 = step_->force_tangent(i);
         const Vec3 t2 = step_->force_contact(i).normal.cross(t1);
         const Eigen::Vector2d slip = step_->force_slip(i), d(directions_[i].dot(t1), directions_[i].dot(t2));
-        value = slip.dot(d) / speed;
+        const double along = slip.dot(d) / speed;
+        value = begins_[i] == 0 ? along : std::copysign(std::max(0.0, std::abs(along) - kBegun), along);
         break;
       }
     }
@@ -189,6 +214,7 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
 }
 
 void ContactModes::begin_slip(std::size_t first) {
+  if (std::getenv("CVDBG")) std::fprintf(stderr, "begin_slip %zu shares %d margin %g\n", first, (int)shares_, stick_margin(first));
   std::vector<PersistentContact>& contacts = step_->contacts();
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
@@ -199,6 +225,7 @@ void ContactModes::begin_slip(std::size_t first) {
     const Vec3& t1 = step_->force_tangent(i);
     c.heading = -(f[0] * t1 + f[1] * step_->force_contact(i).normal.cross(t1)).normalized();
     c.sticks = c.anchored = false;
+    if (std::getenv("CVDBG")) std::fprintf(stderr, "slip f %g %g %g a %g %g %g heading %g %g %g scale %g\n", forces_.f[r], forces_.f[r+1], forces_.f[r+2], forces_.a[r], forces_.a[r+1], forces_.a[r+2], c.heading[0], c.heading[1], c.heading[2], forces_.scale);
   }
   step_->leave();
 }

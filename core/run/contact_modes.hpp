@@ -56,6 +56,7 @@ class ContactModes final : public SwitchFunctions {
   bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau);
   bool is_paradox(std::size_t i) const;
   Vec3 direction(double at, std::size_t i) const;
+  double stick_margin(std::size_t i) const;
 
   const Scene* scene_;
   Guards* guards_;
@@ -63,6 +64,8 @@ class ContactModes final : public SwitchFunctions {
   Integrator* integrator_;
   PersistentRows rows_;
   bool active_ = false, watches_ = false;
+  bool shares_ = false;       // contacts share a load
+  std::vector<char> begins_;  // per contact: its slip begins with the step
   std::vector<Ending> endings_;
   double t_ = 0.0, h_ = 0.0;
   VecX tau_;

@@ -46,15 +46,15 @@ bool Simulator::shorten_held_step(double h, double time, int line) {
 }
 
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.
-void Simulator::change_contact(int function, double time, const VecX& v, Recording& recording) {
+void Simulator::change_contact(int function, double time, const VecX& v, bool moved, Recording& recording) {
   const ContactModes::Ending ending = modes_.ending(function);
-  if (std::getenv("CVDBG")) std::fprintf(stderr, "change t=%.12f contact %zu end %d\n", time, ending.contact, (int)ending.end);
+  if (std::getenv("CVDBG")) std::fprintf(stderr, "change t=%.12f contact %zu end %d moved %d\n", time, ending.contact, (int)ending.end, (int)moved);
   const ContactPoint point = contact_step_.contacts()[ending.contact].point;
   switch (ending.end) {
     case ContactModes::End::kRelease:
       modes_.end_step();
       contacts_.release(static_cast<int>(ending.contact), time, recording);
-      finder_.cut();
+      if (!moved) finder_.cut();
       break;
     case ContactModes::End::kSlip:
       record_change(time, point, Change::kSlip, 0.0, recording);

@@ -6,6 +6,8 @@
 #include <utility>
 
 #include "step/energy.hpp"
+#include <cstdio>
+#include <cstdlib>
 #include "step/guide.hpp"
 
 namespace contactvi {
@@ -42,6 +44,7 @@ void Integrator::hold(PhaseRows* rows) {
   constraints_->hold(rows);
   keeps_rows_ = constraints_->any();
   momentum_ = keeps_rows_ ? &constraints_->start_momentum() : &p0_;
+  if (!keeps_rows_) stages_.clear_impulse();
 }
 
 void Integrator::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
@@ -75,6 +78,7 @@ bool Integrator::solve_stages() {
     iterate_stages(flags);
     if (keeps_rows_) constraints_->correct(*this, stages_, stiff_, (flags & kLaneFactor) != 0);
     judge_iteration();
+    if (std::getenv("CVIT")) std::fprintf(stderr, "  it %d err %.3e theta %.3g newton %d\n", stage_iterations_, iteration_.error(), iteration_.contraction(), (int)iteration_.newton());
     if (exceeds_truncation()) return false;
     if (iteration_.accelerates()) accelerate();
   }

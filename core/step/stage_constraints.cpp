@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
 
 #include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
@@ -23,8 +26,9 @@ constexpr double kZeroRow = 1e-20;     // share of the largest diagonal below wh
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
 constexpr double kFarTurn = 0.5;        // [rad] by which an iteration changes the direction of a slip at most
 constexpr int kEndIterations = 30;      // of Newton's method on the impulse at the end, where contacts slide
-constexpr double kEndExact = 1e-15;     // [rad] change of a direction that is rounding
-constexpr double kSameDirection = 1e-13;  // [rad] change from which on rounding may keep it from becoming smaller
+// Of the speeds: what a change of direction moves that is rounding, and from which on rounding may keep it from becoming
+// less.
+constexpr double kEndExact = 1e-16, kEndNear = 1e-13;
 }  // namespace
 
 StageConstraints::Node::Node(const Tree& tree)
@@ -368,8 +372,8 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
   factor_matrix();
 }
 
-// Rows and columns of the impulses of one row have the same scale: that of its own mobility. Those of directions have
-// the scale of their row's largest entry.
+// Rows and columns of the impulses of one row have the same scale: that of its own mobility. Directions have the scale
+// of what they do.
 void StageConstraints::scale_matrix(int S) {
   const int count = unknowns();
   VecX own(rows_);
@@ -393,10 +397,9 @@ void StageConstraints::scale_matrix(int S) {
     row_scale_[column] = scale_[column] = mobility > zero ? 1.0 / std::sqrt(mobility) : 0.0;
   }
   for (int column = rows_ * stages_; column < count; ++column) {
-    const double largest = matrix_.row(column).cwiseProduct(scale_.head(rows_ * stages_).transpose()).cwiseAbs().maxCoeff();
-    const double own_entry = std::abs(matrix_(column, column));
-    row_scale_[column] = largest > 0.0 ? 1.0 / largest : 1.0;
-    scale_[column] = own_entry > 0.0 ? 1.0 / (row_scale_[column] * own_entry) : 0.0;
+    const double largest = matrix_.col(column).cwiseAbs().maxCoeff();
+    row_scale_[column] = common > 0.0 ? 1.0 / std::sqrt(common) : 1.0;
+    scale_[column] = largest > 0.0 ? 1.0 / (row_scale_[column] * largest) : 0.0;
   }
   matrix_ = row_scale_.asDiagonal() * matrix_ * scale_.asDiagonal();
 }
@@ -572,7 +575,7 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
       }
       slips_(j, stages_) = along;
     }
-    // Rows in the scale of their own mobility, directions in that of their row.
+    // Rows in the scale of their mobility, directions in that of what they do.
     VecX row(n), col(n);
     double common = 0.0;
     for (Eigen::Index r = fixed_; r < m; ++r) common = std::max(common, A(r, r));
@@ -581,9 +584,9 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
       row[r] = col[r] = mobility > 0.0 ? 1.0 / std::sqrt(mobility) : 0.0;
     }
     for (Eigen::Index r = m; r < n; ++r) {
-      const double largest = A.row(r).head(m).cwiseProduct(col.head(m).transpose()).cwiseAbs().maxCoeff();
-      row[r] = largest > 0.0 ? 1.0 / largest : 1.0;
-      col[r] = A(r, r) != 0.0 ? 1.0 / std::abs(row[r] * A(r, r)) : 0.0;
+      row[r] = common > 0.0 ? 1.0 / std::sqrt(common) : 1.0;
+      const double largest = A.col(r).cwiseAbs().maxCoeff();
+      col[r] = largest > 0.0 ? 1.0 / (row[r] * largest) : 0.0;
     }
     Eigen::CompleteOrthogonalDecomposition<MatX> factor;
     factor.setThreshold(kRedundant);
@@ -592,15 +595,18 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
     const MatX scaled = row.asDiagonal() * A * col.asDiagonal();
     factor.compute(scaled);
     const VecX x = col.cwiseProduct(factor.solve(scaled * now - row.cwiseProduct(b)) - now);
+    if (std::getenv("CVEND")) { std::fprintf(stderr, "end it %d h %g: along %g lam %g b", k, h_, slips_(0, stages_), lambda_(fixed_, stages_)); for (Eigen::Index r = 0; r < n; ++r) std::fprintf(stderr, " %g", b[r]); std::fprintf(stderr, " x"); for (Eigen::Index r = 0; r < n; ++r) std::fprintf(stderr, " %g", x[r]);  std::fprintf(stderr, " A"); for (Eigen::Index r = 0; r < n*n; ++r) std::fprintf(stderr, " %g", A.data()[r]); std::fprintf(stderr, " rank %d\n", (int)factor.rank()); }
     if (!x.allFinite()) return false;
     lambda_.col(stages_) += x.head(m);
     double turned = 0.0;
     for (int j = 0; j < slides_; ++j) {
       const double turn = std::clamp(x[m + j], -kFarTurn, kFarTurn);
       angles_(j, stages_) += turn;
-      turned = std::max(turned, std::abs(turn));
+      turned = std::max(turned, std::abs(turn) * A.col(m + j).cwiseAbs().maxCoeff());
     }
-    const bool settled = k > 0 && (turned <= kEndExact || (turned <= kSameDirection && turned >= 0.5 * before));
+    const double speed = 1.0 + w.cwiseAbs().maxCoeff() + u.cwiseAbs().maxCoeff();
+    const bool settled =
+        k > 0 && (turned <= kEndExact * speed || (turned <= kEndNear * speed && turned >= 0.5 * before));
     before = turned;
     if (!settled) continue;
     direct(end, stages_);
@@ -609,6 +615,7 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
     slips_.col(stages_) = end.along.transpose() * v1_;
     return v1_.allFinite();
   }
+  if (std::getenv("CVDBG")) std::fprintf(stderr, "slides not closed\n");
   return false;
 }
 
@@ -630,6 +637,7 @@ bool StageConstraints::keeps_phase() const {
   const Node& end = nodes_[stages_];
   const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
   for (int r = fixed_; r < rows_; ++r) {
+    if (std::getenv("CVDBG")) std::fprintf(stderr, "row %d phi %g rate %g\n", r, end.phi[r], end.W.col(r).dot(v1_));
     if (!phase_->by_rate(r - fixed_) && !(std::abs(end.phi[r]) <= kHeld)) return false;
     if (!(std::abs(end.W.col(r).dot(v1_)) <= kHeldRate * speed)) return false;
   }
@@ -654,7 +662,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
     work_ += done;
     mean_work_ += (1.0 - table_->d[k]) * done;
   }
-  if (!keeps_phase()) return false;
+  if (!keeps_phase()) { if (std::getenv("CVDBG")) std::fprintf(stderr, "phase not kept h=%g\n", h_); return false; }
   if (fixed_ == 0) return true;
   const Elements& elements = tree_->elements;
   const auto end_rates = end.W.leftCols(fixed_).transpose();
@@ -665,6 +673,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
                                 1.0 + v1_.cwiseAbs().maxCoeff() + end.rate.cwiseAbs().maxCoeff(),
                                 0.0};
   violated_ = find_violated(elements, errors);
+  if (violated_ >= 0 && std::getenv("CVDBG")) std::fprintf(stderr, "violated %d end %g %g rate %g\n", violated_, errors.start.norm(), errors.end.norm(), errors.rates.norm());
   if (violated_ >= 0) return false;
   VecX mean = VecX::Zero(tree_->nv);  // velocity of the step
   for (int d = 0; d < tree_->nv; ++d) mean[d] = stages.sum(stages.v(), d) / h_;

@@ -74,6 +74,8 @@ class StageConstraints {
   const MatX& slip_angles() const { return angles_; }
   const MatX& slips() const { return slips_; }
   const LobattoTable& table() const { return *table_; }
+  // Whether rows share a load, so that their impulses are not the only ones that keep them.
+  bool shares_load() const { return redundant_; }
   const VecX& end_velocity() const { return v1_; }
 
   // Mean forces of the rows in the last step, from which the next one starts: all that it depends on.

@@ -246,10 +246,9 @@ void Stages::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& t
 void Stages::start_from(const VecCRef& p0) { std::copy_n(p0.data(), tree_->nv, p0_); }
 
 double* Stages::impulse() {
-  if (work_.impulse == nullptr) {
-    impulse_ = AlignedArray(static_cast<std::size_t>(tree_->nv) * work_.S);
-    work_.impulse = impulse_.data();
-  }
+  if (!has_impulse_) impulse_ = AlignedArray(static_cast<std::size_t>(tree_->nv) * work_.S);
+  has_impulse_ = true;
+  work_.impulse = impulse_.data();
   return impulse_.data();
 }
 

@@ -57,6 +57,8 @@ class Stages {
   // Impulses that the stages receive besides it, over dofs and stages, in the charts of spherical joints; at first
   // zero.
   double* impulse();
+  // The steps that begin from now on receive none.
+  void clear_impulse() { work_.impulse = nullptr; }
   // Replaces the start momentum of the step that began.
   void start_from(const VecCRef& p0);
   // Sets a configuration without a step, for functions of a single state.
@@ -142,6 +144,7 @@ class Stages {
   LaneWork work_;
   AlignedArray memory_;  // all arrays below
   AlignedArray impulse_{0};
+  bool has_impulse_ = false;  // whether it was allocated
   double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_, *coupled_;
   double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;
   ForceField field_;
