@@ -28,8 +28,10 @@ struct ImpactRecord {
 // momentum at the end (before an impact), chart rates at the stages (StepPath).
 struct Segments {
   std::vector<double> t, h, q, p, p1, rates;  // rates: stage by stage
-  std::vector<double>
-      persistent;  // 1: a step with persistent contacts, of which partial steps are not smooth steps; else 0
+  // Whether contacts persist in the step, so that its parts are not smooth steps without them. The numbers are those of
+  // stored runs.
+  static constexpr double kFree = 0.0, kContactStep = 1.0, kHeld = 2.0;
+  std::vector<double> persistent;  // kContactStep: of order 2; kHeld: in a smooth step
 };
 
 // The numbers are those of stored runs.

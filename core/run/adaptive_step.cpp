@@ -2,8 +2,8 @@
 // between the begin and the end of persistent contact.
 //
 // The long-time behaviour of a variational integrator rests on a constant step. The step therefore grows only at
-// impacts, which break the smooth motion anyway. Where it turns out to be too long it becomes shorter, and stays so up
-// to the next impact. A step that is too long is mostly seen to be so before it is solved, and given up; where there
+// impacts and where contacts change, which breaks the smooth motion anyway. Where it turns out to be too long it becomes
+// shorter, and stays so up to the next one. A step that is too long is mostly seen to be so before it is solved, and given up; where there
 // was an impact in it, or where it cannot be solved, at least half of the steps before it stay. While contacts persist
 // the steps are as long as contact steps may be, and the length of the smooth ones is kept for the flight that follows.
 #include <algorithm>
@@ -85,16 +85,21 @@ bool Simulator::end_with_too_many_steps(double time, double h) {
   return end(StatusCode::kTooManySteps, time, message.str());
 }
 
+// Whether the steps that come are contact steps, of a length of their own, or dense steps.
+bool Simulator::takes_contact_steps() const {
+  return state_.dense.active || (!contact_step_.empty() && !keeps_constraints(scene_->tree, options_));
+}
+
 // Steps to the end of the one with the next impact, or in which persistent contact begins or ends; to where the length
 // turns out to be too long or that of the plan changes; or to the end of the run.
 bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& steps, Recording& recording) {
   const VecX no_force;
   const double s = options_.stages, began = state_.time, level = steps.level;
-  const auto in_contact = [this] { return !contact_step_.empty() || state_.dense.active; };
-  const bool persistent = in_contact();
+  const bool persistent = takes_contact_steps();
   if (steps.plan != nullptr) end = take_plan(*steps.plan, end, persistent);
   const double duration = end - began;
   const long impacts = state_.impacts;
+  const std::size_t changes = recording.changes.size();
   const double adaptive_dt = state_.adaptive_dt, longest_dt = truncation_.longest_dt;
   int probes = persistent || !recording.adaptive_t.empty() || steps.plan != nullptr ? 0 : kProbes;
   double largest = 0.0, largest_h = 0.0, smooth = 0.0;
@@ -184,7 +189,8 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
     record_node(state_.time, recording);
     if (!report_progress(state_.time)) return false;
     if (static_cast<double>(recording.t.size()) > most_steps()) return end_with_too_many_steps(state_.time, h);
-    if (persistent != in_contact() || (!persistent && state_.impacts > impacts)) break;
+    if (persistent != takes_contact_steps()) break;
+    if (!persistent && (state_.impacts > impacts || recording.changes.size() > changes)) break;
     if (in_section == section.count && section.end < end) {
       in_section = 0.0;
       enter(section.end);
@@ -231,11 +237,14 @@ bool Simulator::may_be_shortened(double length, long impacts) const {
 // steps go on there as they are.
 double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {
   const std::vector<double>&t = plan.run.adaptive_t, &dt = plan.run.adaptive_dt;
-  const std::vector<ImpactRecord>& impacts = plan.run.impacts;
-  const auto goes_on = [&](std::size_t k) {  // without an impact since the change of length before this one
-    const auto next = std::upper_bound(impacts.begin(), impacts.end(), t[k - 1],
-                                       [](double time, const ImpactRecord& impact) { return time < impact.time; });
-    return next == impacts.end() || next->time > t[k];
+  // Whether none of these lies between the change of length before this one and this one.
+  const auto none_between = [&](const auto& records, std::size_t k) {
+    const auto next = std::upper_bound(records.begin(), records.end(), t[k - 1],
+                                       [](double time, const auto& record) { return time < record.time; });
+    return next == records.end() || next->time > t[k];
+  };
+  const auto goes_on = [&](std::size_t k) {
+    return none_between(plan.run.impacts, k) && none_between(plan.run.changes, k);
   };
   const double now = state_.time + kSameTime * (end - t[0]);
   const std::size_t next = static_cast<std::size_t>(std::upper_bound(t.begin(), t.end(), now) - t.begin());

@@ -323,7 +323,7 @@ void Simulator::accept_contact_step(double time, double h, bool dense, Recording
   }
   if (dense) {
     record_segment(time, h, p1_, recording);
-    recording.segments.persistent.back() = 1.0;
+    recording.segments.persistent.back() = Segments::kContactStep;
   }
   record_contact_forces(time, h, recording);
   contact_step_.commit();

@@ -439,6 +439,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   state_.work.add(work);
   control.flew(options_.dt);
   record_segment(at, h, p1_, recording);
+  if (holds && options_.dense) recording.segments.persistent.back() = Segments::kHeld;
   state_.q.swap(q1_);
   state_.p.swap(p1_);
   if (!holds && !finder_.active().empty()) {
@@ -483,6 +484,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);
+    if (holds && options_.dense) recording.segments.persistent.back() = Segments::kHeld;
   }
   modes_.end_step();
   integrator_.forget();

@@ -212,6 +212,7 @@ class Simulator {
   // adaptive_step.cpp and snapshot.cpp.
   bool run_adaptive_steps(double end, double origin, const AutoSteps& steps, Recording& recording);
   bool may_be_shortened(double length, long impacts) const;
+  bool takes_contact_steps() const;
   void grow_adaptive_step(double h, double largest, double level, long most_iterations);
   double take_plan(const StepPlan& plan, double end, bool persistent);
   double most_steps() const;
