@@ -1,11 +1,13 @@
 """contactvi. setting: order, dt (a number or "auto"), impact, tol. Timed: simulate() as a user calls it, and q, v.
 
 A dt that divides the sample time has its nodes at the samples; a longer one and "auto" are sampled from the polynomials
-of the steps. The error is taken at the samples either way. S7: hand_contactvi.py.
+of the steps. The error is taken at the samples either way. S7: hand_contactvi.py, lasting
+contact: contact_contactvi.py.
 """
 
 from __future__ import annotations
 
+import contact_contactvi
 import hand_contactvi
 import numpy as np
 from worker import Run, measure
@@ -57,6 +59,8 @@ def options(job: dict, setting: dict) -> dict:
 def prepare(job: dict, setting: dict) -> Run:
     if job["name"] == "S7":
         return hand_contactvi.prepare(job, setting)
+    if job["name"].startswith("contact "):
+        return contact_contactvi.prepare(job, setting)
     scene = build(job)
     q0, v0, at_q, at_v = start(scene, job)
     duration, chosen = job["duration"], options(job, setting)

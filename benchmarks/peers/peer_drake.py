@@ -1,13 +1,15 @@
 """Drake. setting: integrator (continuous, error controlled), accuracy; with contacts stiffness [N/m].
 
 Point contact is stiffness * depth * (1 + dissipation * speed): elastic without dissipation. For a smaller restitution
-the dissipation is right at the speed of the first impact only, because it depends on that speed. S7: hand_drake.py.
+the dissipation is right at the speed of the first impact only, because it depends on that speed. S7:
+hand_drake.py, lasting contact: contact_drake.py.
 """
 
 from __future__ import annotations
 
 import math
 
+import contact_drake
 import hand_drake
 import numpy as np
 from pydrake.geometry import AddContactMaterial, HalfSpace, ProximityProperties, Sphere
@@ -36,6 +38,8 @@ def dissipation(restitution: float) -> float:
 def prepare(job: dict, setting: dict) -> Run:
     if job["name"] == "S7":
         return hand_drake.prepare(job, setting)
+    if job["name"].startswith("contact "):
+        return contact_drake.prepare(job, setting)
     config, builder = MultibodyPlantConfig(time_step=0.0, contact_model="point"), DiagramBuilder()
     # Without contacts a plant of its own is faster than one with a scene graph.
     plant = AddMultibodyPlant(config, builder)[0] if job["balls"] else builder.AddSystem(MultibodyPlant(0.0))

@@ -1,13 +1,15 @@
 """MuJoCo. setting: integrator, dt; with contacts kdt2, the contact stiffness being kdt2 / dt^2.
 
 Its contact is soft by design. Here it is a spring of that stiffness (solref = -k, -b, impedance 0.9999) with the
-damping that gives the wanted restitution. All steps between two samples are one call. S7: hand_mujoco.py.
+damping that gives the wanted restitution. All steps between two samples are one call. S7:
+hand_mujoco.py, lasting contact: contact_mujoco.py.
 """
 
 from __future__ import annotations
 
 import math
 
+import contact_mujoco
 import hand_mujoco
 import mujoco
 import numpy as np
@@ -32,6 +34,8 @@ def damping_ratio(restitution: float) -> float:
 def prepare(job: dict, setting: dict) -> Run:
     if job["name"] == "S7":
         return hand_mujoco.prepare(job, setting)
+    if job["name"].startswith("contact "):
+        return contact_mujoco.prepare(job, setting)
     dt, plane = setting["dt"], mujoco.mjtGeom.mjGEOM_PLANE
     spec = mujoco.MjSpec.from_file(job["urdf_file"])
     if job["wall"] is not None:

@@ -284,7 +284,7 @@ def to_urdf(scene: Scene, shapes: dict[int, list[str]] | None = None) -> str:
         kind = "prismatic" if model.joints[j].shortname() == "JointModelPZ" else "revolute"
         out.append(f'<joint name="{model.names[j]}" type="{kind}"><parent link="{parent}"/><child link="L{j}"/>'
                    f'<origin xyz="{text(place.translation)}" rpy="{text(pin.rpy.matrixToRpy(place.rotation))}"/>'
-                   f'<axis xyz="{text(_axis(model.joints[j]))}"/><limit lower="-1e4" upper="1e4" effort="1e6" '
+                   f'<axis xyz="{text(axis(model.joints[j]))}"/><limit lower="-1e4" upper="1e4" effort="1e6" '
                    'velocity="1e6"/></joint>')  # fmt: skip
     return "\n".join([*out, "</robot>"])
 
@@ -293,7 +293,7 @@ def _components(moment: np.ndarray) -> list[tuple[str, float]]:
     return [(f"i{'xyz'[a]}{'xyz'[b]}", moment[a, b]) for a in range(3) for b in range(a, 3)]
 
 
-def _axis(joint: pin.JointModel) -> np.ndarray:
+def axis(joint: pin.JointModel) -> np.ndarray:
     """The joint's axis in its own frame: the moving part of its motion subspace."""
     data = joint.createData()
     joint.calc(data, np.zeros(joint.nq), np.zeros(joint.nv))
