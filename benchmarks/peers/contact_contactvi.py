@@ -100,7 +100,7 @@ def prepare(job: dict[str, Any], setting: dict[str, Any]) -> Run:
     else:
         options["sample_dt"] = job["sample"]
 
-    def run() -> tuple[np.ndarray, np.ndarray, dict]:
+    def run() -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
         traj = cvi.simulate(scene, q0, v0, job["duration"], **control, **options)
         rows = []
         for q in traj.q[1:]:

@@ -44,26 +44,27 @@ MOTIONS: dict[str, Callable[[], Held]] = {
     "coin goes round": scenes.rolling_coin,
     "coin wobbles": lambda: scenes.rolling_coin(1.0),
 }
-# Steps of the run at the orders 4, 8 and 16; a run of each takes milliseconds.
+# Steps of the run at the orders 4, 8 and 16. Where a change lies within its step moves the errors by a factor of two or
+# so: the numbers of steps are far apart, or the last one comes to rounding.
 STEPS: dict[str, tuple[Sequence[int], Sequence[int], Sequence[int]]] = {
-    "ball slides, then rolls": ((20, 40, 80), (8, 12, 20), (4, 6, 8)),
-    "ball rolls down": ((20, 40, 80), (8, 12, 20), (4, 6, 8)),
-    "slip turns": ((5, 10, 20), (3, 5, 8), (2, 3, 4)),
-    "slip turns and ends": ((10, 20, 40), (4, 7, 12), (2, 3, 5)),
-    "ball on a turntable": ((10, 20, 40), (5, 8, 12), (3, 4, 6)),
-    "point leaves a sphere": ((10, 20, 40), (4, 6, 9), (2, 3, 4)),
-    "point slides off a sphere": ((10, 20, 40), (4, 6, 9), (2, 3, 4)),
-    "ball rolls off a sphere": ((10, 20, 40), (4, 6, 9), (2, 3, 4)),
-    "rod slides": ((10, 20, 40), (2, 3, 5), (1, 2, 3)),
-    "rod turns back": ((10, 20, 40), (3, 5, 8), (1, 2, 3)),
-    "rod sticks": ((10, 20, 40), (3, 5, 8), (1, 2, 3)),
-    "block on a belt": ((20, 40, 80), (8, 12, 20), (4, 6, 8)),
-    "block on a shaking belt": ((20, 40, 80), (8, 12, 20), (4, 6, 8)),
-    "box on a tilting plane": ((10, 20, 40), (2, 3, 5), (1, 2, 3)),
-    "pendulum with joint friction": ((40, 80, 160), (20, 32, 50), (12, 16, 24)),
-    "spring with joint friction": ((30, 60, 120), (12, 20, 30), (6, 8, 10)),
-    "coin goes round": ((20, 40, 80), (6, 9, 14), (3, 4, 6)),
-    "coin wobbles": ((40, 80, 160), (15, 24, 36), (6, 9, 12)),
+    "ball slides, then rolls": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
+    "ball rolls down": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
+    "slip turns": ((5, 10, 40), (4, 8, 16), (2, 3, 4)),
+    "slip turns and ends": ((10, 20, 80), (4, 8, 16), (2, 3, 5)),
+    "ball on a turntable": ((10, 20, 40), (5, 10, 20), (3, 4, 6)),
+    "point leaves a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
+    "point slides off a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
+    "ball rolls off a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
+    "rod slides": ((10, 20, 40), (2, 4, 8), (1, 2, 3)),
+    "rod turns back": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
+    "rod sticks": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
+    "block on a belt": ((20, 40, 160), (10, 20, 60), (4, 6, 10)),
+    "block on a shaking belt": ((20, 40, 160), (10, 20, 60), (4, 6, 10)),
+    "box on a tilting plane": ((5, 10, 40), (2, 3, 5), (1, 2, 3)),
+    "pendulum with joint friction": ((40, 80, 320), (20, 40, 80), (12, 18, 24)),
+    "spring with joint friction": ((30, 60, 240), (12, 24, 60), (5, 8, 12)),
+    "coin goes round": ((20, 40, 80), (6, 10, 20), (3, 4, 6)),
+    "coin wobbles": ((40, 80, 160), (15, 30, 60), (6, 9, 12)),
 }
 CHANGING = (
     "ball slides, then rolls", "slip turns and ends", "point leaves a sphere", "point slides off a sphere",
@@ -137,7 +138,7 @@ def test_twenty_cycles(order):
     period = 2.0 * math.pi / 7.0
     held = scenes.shaking_belt(20.0 * period)
     assert len(held.changes) > 70
-    check_order(held, order, {4: (200, 400, 800), 8: (100, 140, 200)}[order])
+    check_order(held, order, {4: (200, 400, 1600), 8: (90, 180, 540)}[order])
 
 
 @pytest.mark.parametrize("order", [4, 8])
@@ -147,6 +148,19 @@ def test_rolling_keeps_the_energy(order):
     counts = STEPS["coin wobbles"][{4: 0, 8: 1}[order]]
     ranges = [float(np.ptp(held.run(count, order).energy)) for count in counts]
     assert ranges[-1] < ROUNDING or observed_order(ranges, counts) > order - 0.3, ranges
+
+
+@pytest.mark.parametrize("order", [4, 8, 16])
+@pytest.mark.parametrize("name", EXACT)
+def test_states_between_the_nodes(name, order):
+    """Constant forces: the polynomials of the steps are the motion, on both sides of a change."""
+    held = EXACT[name]()
+    traj = held.run(10, order)
+    times = np.linspace(0.0, held.duration, 73)[1:]
+    states = [traj.at(t) for t in times]
+    seen = held.observe(np.array([state.q for state in states]), np.array([state.v for state in states]))
+    # the polynomial's rate where steps are short: rounding over their length
+    assert np.abs(seen - held.exact(np.append(0.0, times))[1:]).max() < 1e-9
 
 
 @pytest.mark.parametrize("order", [4, 8, 16])
