@@ -31,7 +31,8 @@ def shape_of(given: dict[str, Any]) -> Any:
 
 def build(job: dict[str, Any], springs: bool) -> cvi.Scene:
     """The scene; its servos as springs and dampers of joints, if asked for: the same law, which dt = "auto" takes."""
-    model, geometry, shapes = pin.Model(), pin.GeometryModel(), {"world": []}
+    model, geometry = pin.Model(), pin.GeometryModel()
+    shapes: dict[str, list[int]] = {"world": []}
     model.gravity.linear = np.array([0.0, 0.0, -job["gravity"]])
     numbers = {"world": 0}
     for body in job["bodies"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import coal
@@ -46,7 +46,7 @@ class Held:
         """Return the largest error of each number of the rows at times [s] at which the run has nodes."""
         at = np.searchsorted(traj.t, times - 1e-9)
         assert np.abs(traj.t[at] - times).max() < 1e-9
-        return np.abs(self.observe(traj.q[at], traj.v[at]) - exact).max(axis=0)
+        return np.asarray(np.abs(self.observe(traj.q[at], traj.v[at]) - exact).max(axis=0))
 
     def run(self, steps: int, order: int) -> cvi.Trajectory:
         dt = self.duration / steps
@@ -70,7 +70,10 @@ def _switched(
     return Held(scene, q, v, duration, lambda times: states(times)[0], observe, places, changes)
 
 
-def _ball_on_plane(slope: float, friction: float, velocity, spin, duration: float, exact, changes=()) -> Held:
+def _ball_on_plane(
+    slope: float, friction: float, velocity: Sequence[float], spin: Sequence[float], duration: float,
+    exact: Callable[[Array], Array], changes: Sequence[float] = (),
+) -> Held:  # fmt: skip
     """A ball on a slope, with a velocity (down, across) and a spin in the axes of the slope."""
     scene = cvi.Scene()
     scene.add_halfspace(normal(slope), 0.0, name="ground")
@@ -155,7 +158,7 @@ def turntable() -> Held:
     v = np.concatenate([[rate], velocity, [0.0], spin])
 
     def exact(times: Array) -> Array:
-        return oracle.on_turntable(rate, start, velocity, times)
+        return oracle.on_turntable(rate, start.tolist(), velocity.tolist(), times)
 
     return Held(scene, q, v, 2.0, exact, lambda q, v: q[:, 1:3], (0, 1))
 
