@@ -45,16 +45,17 @@ MOTIONS: dict[str, Callable[[], Held]] = {
     "coin wobbles": lambda: scenes.rolling_coin(1.0),
 }
 # Steps of the run at the orders 4, 8 and 16. Where a change lies within its step moves the errors by a factor of two or
-# so: the numbers of steps are far apart, or the last one comes to rounding.
+# so: the numbers of steps are far apart, or the last one comes to rounding. What rolls turns by less than half a radian
+# in a step: longer ones are cut in two, which makes the same steps of several dt.
 STEPS: dict[str, tuple[Sequence[int], Sequence[int], Sequence[int]]] = {
     "ball slides, then rolls": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
     "ball rolls down": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
     "slip turns": ((5, 10, 40), (4, 8, 16), (2, 3, 4)),
     "slip turns and ends": ((10, 20, 80), (4, 8, 16), (2, 3, 5)),
-    "ball on a turntable": ((10, 20, 40), (5, 10, 20), (3, 4, 6)),
+    "ball on a turntable": ((80, 160, 320), (30, 45, 60), (15, 20, 30)),
     "point leaves a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
     "point slides off a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
-    "ball rolls off a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
+    "ball rolls off a sphere": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
     "rod slides": ((10, 20, 40), (2, 4, 8), (1, 2, 3)),
     "rod turns back": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
     "rod sticks": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
@@ -63,8 +64,8 @@ STEPS: dict[str, tuple[Sequence[int], Sequence[int], Sequence[int]]] = {
     "box on a tilting plane": ((5, 10, 40), (2, 3, 5), (1, 2, 3)),
     "pendulum with joint friction": ((40, 80, 320), (20, 40, 80), (12, 18, 24)),
     "spring with joint friction": ((30, 60, 240), (12, 24, 60), (5, 8, 12)),
-    "coin goes round": ((20, 40, 80), (6, 10, 20), (3, 4, 6)),
-    "coin wobbles": ((40, 80, 160), (15, 30, 60), (6, 9, 12)),
+    "coin goes round": ((40, 80, 160), (20, 30, 40), (15, 20, 30)),
+    "coin wobbles": ((60, 120, 240), (30, 45, 60), (15, 20, 30)),
 }
 CHANGING = (
     "ball slides, then rolls", "slip turns and ends", "point leaves a sphere", "point slides off a sphere",
@@ -128,8 +129,8 @@ def test_times_of_changes(name):
     assert held.changes
     found = np.array([change.time for change in traj.contact_changes])
     for time in held.changes:
-        # the root of a speed or of a force is as exact as these, beside their rates, which are near 1
-        assert np.abs(found - time).min() < 1e-8
+        # The end of a slip moves the motion by its error; its beginning, or the end of a contact, by the square of that.
+        assert np.abs(found - time).min() < (1e-9 if time in held.slip_ends else 1e-6)
 
 
 @pytest.mark.parametrize("order", [4, 8])
