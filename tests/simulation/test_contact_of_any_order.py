@@ -129,7 +129,7 @@ def test_times_of_changes(name):
     assert held.changes
     found = np.array([change.time for change in traj.contact_changes])
     for time in held.changes:
-        # The end of a slip moves the motion by its error; its beginning, or the end of a contact, by the square of that.
+        # The end of a slip moves the motion by its error; its beginning, or the end of a contact, by the square.
         assert np.abs(found - time).min() < (1e-9 if time in held.slip_ends else 1e-6)
 
 
@@ -186,3 +186,10 @@ def test_auto_meets_the_accuracy(name, tol):
     # of some coordinates only, and the estimate is one of the first order
     assert error <= 3.0 * traj.error_estimate
     assert traj.error_estimate <= tol
+
+
+@pytest.mark.parametrize("name", ["ball rolls down", "slip turns", "rod slides", "coin goes round"])
+def test_auto_takes_long_steps(name):
+    """In a phase without changes the steps are those of the order, and not as short as contact of order 2 asks for."""
+    held = MOTIONS[name]()
+    assert len(held.run_auto(1e-6).t) < 100  # a second of some 10 rad/s, half a radian a step, and companion levels
