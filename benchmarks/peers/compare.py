@@ -98,7 +98,8 @@ def call(peer: str, job: dict[str, Any], folder: Path, repeats: int, slow: float
     except subprocess.TimeoutExpired:
         return [{"setting": s, "times": [], "failed": f"longer than {timeout:g} s"} for s in job["settings"]]
     if not out_file.exists():
-        return [{"setting": s, "times": [], "failed": done.stderr[-200:]} for s in job["settings"]]
+        why = done.stderr[-200:] or f"the process ended with {done.returncode}"
+        return [{"setting": s, "times": [], "failed": why} for s in job["settings"]]
     return json.loads(out_file.read_text())
 
 

@@ -64,7 +64,7 @@ def kinds(sample: float) -> dict[str, Settings]:
 
 
 FINEST: dict[str, dict[str, Any]] = {  # not timed; of a kind, or of a peer
-    "contactvi": {"order": 8, "dt": 2e-4},
+    "contactvi": {"order": 2, "dt": 2e-5},
     "drake, CENIC": {"accuracy": 1e-7},
     "drake, CENIC, stiff": {"accuracy": 1e-7, "stiffness": 1e8},
     "drake, SAP": {"dt": 2e-5, "approximation": "sap"},

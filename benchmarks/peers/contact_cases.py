@@ -49,7 +49,7 @@ def body(name: str, mass: float, inertia: Any, shapes: list[dict[str, Any]], **g
     }  # fmt: skip
 
 
-def job(name: str, bodies: list[dict[str, Any]], start: dict[str, Any], duration: float, **given: Any) -> Job:
+def job(name: str, bodies: list[Any], start: dict[str, Any], duration: float, **given: Any) -> Job:
     return {
         "name": f"contact {name}", "bodies": bodies, "start": start, "duration": duration, "sample": 0.05,
         "gravity": systems.GRAVITY, "friction": 0.0, "pairs": [], "loops": [], **given,

@@ -29,9 +29,10 @@ def shape_of(given: dict[str, Any]) -> Any:
     return coal.Box(*given["box"]) if "box" in given else coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
 
 
-def build(job: dict[str, Any]) -> tuple[cvi.Scene, dict[str, float]]:
-    """The scene, and the targets of its servos."""
-    model, geometry, shapes = pin.Model(), pin.GeometryModel(), {"world": []}
+def build(job: dict[str, Any], springs: bool) -> cvi.Scene:
+    """The scene; its servos as springs and dampers of joints, if asked for: the same law, which dt = "auto" takes."""
+    model, geometry = pin.Model(), pin.GeometryModel()
+    shapes: dict[str, list[int]] = {"world": []}
     model.gravity.linear = np.array([0.0, 0.0, -job["gravity"]])
     numbers = {"world": 0}
     for body in job["bodies"]:
@@ -52,18 +53,20 @@ def build(job: dict[str, Any]) -> tuple[cvi.Scene, dict[str, float]]:
                 geometry.addCollisionPair(pin.CollisionPair(i, j))
     scene = cvi.Scene.from_pinocchio(model, geometry)
     scene.set_contact(restitution=0.0, friction=job["friction"])
-    targets = {}
     for body in job["bodies"]:
         if "stiffness" in body:
             scene.set_joint(body["name"], stiffness=body["stiffness"])
         if "servo" in body:
-            scene.set_servo(body["name"], body["servo"]["kp"], body["servo"]["kd"])
-            targets[body["name"]] = body["servo"]["target"]
+            kp, kd, target = (body["servo"][key] for key in ("kp", "kd", "target"))
+            if springs:
+                scene.set_joint(body["name"], stiffness=kp, damping=kd, rest=target)
+            else:
+                scene.set_servo(body["name"], kp, kd, target=target)
         if "motion" in body:
             scene.prescribe(body["name"], motion_of(**body["motion"]))
     for loop in job["loops"]:
         scene.add_point(loop["a"], loop["b"], loop["point_a"], loop["point_b"])
-    return scene, targets
+    return scene
 
 
 def motion_of(amplitude: float, rate: float) -> Any:
@@ -87,9 +90,8 @@ def start_of(scene: cvi.Scene, job: dict[str, Any]) -> tuple[np.ndarray, np.ndar
 
 
 def prepare(job: dict[str, Any], setting: dict[str, Any]) -> Run:
-    scene, targets = build(job)
+    scene = build(job, springs=setting["dt"] == "auto")
     q0, v0 = start_of(scene, job)
-    control = {"target": [targets[name] for name in scene.servo_joints]} if targets else {}
     model, data = scene.model, scene.model.createData()
     observed = [(model.getJointId(name), np.array(point)) for name, point in job["observe"]]
     options = dict(setting)
@@ -100,8 +102,8 @@ def prepare(job: dict[str, Any], setting: dict[str, Any]) -> Run:
     else:
         options["sample_dt"] = job["sample"]
 
-    def run() -> tuple[np.ndarray, np.ndarray, dict]:
-        traj = cvi.simulate(scene, q0, v0, job["duration"], **control, **options)
+    def run() -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+        traj = cvi.simulate(scene, q0, v0, job["duration"], **options)
         rows = []
         for q in traj.q[1:]:
             pin.forwardKinematics(model, data, q)

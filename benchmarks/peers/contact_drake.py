@@ -1,13 +1,15 @@
 """Scenes of contact_cases.py in Drake. setting: accuracy (continuous, with the integrator CENIC), or approximation (of
 the discrete plant: sap, lagged, ...) and dt; stiffness of the contact [N/m], else as Drake has it.
 
-Point contact. In the discrete plant a stiffness comes with a dissipation within one step. Servos are PD controlled
-actuators, which the discrete plant and CENIC take implicitly. A motion is that of a mass of HEAVY on a spring. Loops
-are ball constraints, which the discrete plant with SAP has alone.
+Point contact, which has one point for a box on a plane: there its corners are small balls. In the discrete plant a
+stiffness comes with a dissipation within one step. Servos are PD controlled actuators, which the discrete plant and
+CENIC take implicitly. A motion is that of a mass of HEAVY on a spring. Loops are ball constraints, which the discrete
+plant with SAP has alone.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -38,6 +40,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from worker import Run
 
 HEAVY = 1e6  # kg
+LIGHT = 1e-6  # kg, of frames without mass, which CENIC refuses
+CORNER = 5e-3  # radius of the balls at the corners of a box on a plane [m]
 JOINTS = {"slide": PrismaticJoint, "hinge": RevoluteJoint}
 
 
@@ -51,10 +55,25 @@ def shape_of(given: dict[str, Any]) -> Any:
     return Box(*given["box"]) if "box" in given else HalfSpace()
 
 
+def collisions(item: dict[str, Any], on_plane: bool) -> list[tuple[RigidTransform, Any]]:
+    """The shapes of a body, with their places in it; a box on a plane is its corners, as small balls."""
+    found = []
+    for given in item["shapes"]:
+        place = pose_of(given)
+        if on_plane and "box" in given:
+            half = 0.5 * np.array(given["box"]) - CORNER
+            found += [(place @ RigidTransform(half * signs), Sphere(CORNER)) for signs in product((-1, 1), repeat=3)]
+        else:
+            found.append((place, shape_of(given)))
+    return found
+
+
 def inertia_of(item: dict[str, Any]) -> SpatialInertia:
     full = np.array(item["inertia"])
     about = RotationalInertia(full[0, 0], full[1, 1], full[2, 2], full[0, 1], full[0, 2], full[1, 2])
     mass = HEAVY if "motion" in item else item["mass"]
+    if not mass:
+        return SpatialInertia.SolidSphereWithMass(LIGHT, CORNER)
     return SpatialInertia.MakeFromCentralInertia(mass, item["com"], about)
 
 
@@ -70,6 +89,8 @@ def build(job: dict[str, Any], setting: dict[str, Any]) -> tuple[Diagram, Multib
     AddContactMaterial(friction=CoulombFriction(job["friction"], job["friction"]), properties=surface, **stiffness)
     if stiffness and "dt" in setting:
         surface.AddProperty("material", "relaxation_time", setting["dt"])
+    planes = {item["name"] for item in job["bodies"] if any("plane" in shape for shape in item["shapes"])}
+    on_plane = {second for first, second in job["pairs"] if first in planes}
     bodies = {"world": plant.world_body()}
     for item in job["bodies"]:
         name, parent = item["name"], bodies[item["parent"]]
@@ -87,10 +108,14 @@ def build(job: dict[str, Any], setting: dict[str, Any]) -> tuple[Diagram, Multib
             if "servo" in item:
                 actuator = plant.AddJointActuator(name, joint)
                 actuator.set_controller_gains(PdControllerGains(p=item["servo"]["kp"], d=item["servo"]["kd"]))
-        for k, given in enumerate(item["shapes"]):
-            plant.RegisterCollisionGeometry(bodies[name], pose_of(given), shape_of(given), f"{name}{k}", surface)
+        for k, (place, shape) in enumerate(collisions(item, name in on_plane)):
+            plant.RegisterCollisionGeometry(bodies[name], place, shape, f"{name}{k}", surface)
     for loop in job["loops"]:
-        plant.AddBallConstraint(bodies[loop["a"]], loop["point_a"], bodies[loop["b"]], loop["point_b"])
+        first, point = bodies[loop["a"]], loop["point_a"]
+        if loop["a"] == "world":  # in Drake 1.51.1 a ball constraint with the world is a segmentation fault
+            first, point = plant.AddRigidBody("mount", SpatialInertia.SolidSphereWithMass(1.0, CORNER)), [0.0, 0.0, 0.0]
+            plant.WeldFrames(plant.world_frame(), first.body_frame(), RigidTransform(loop["point_a"]))
+        plant.AddBallConstraint(first, point, bodies[loop["b"]], loop["point_b"])
     plant.Finalize()
     _filter(job, plant, graph, bodies)
     return builder.Build(), plant

@@ -60,14 +60,14 @@ def build(job: dict[str, Any], setting: dict[str, Any]) -> mujoco.MjModel:
             bodies[name].add_freejoint(name=name)
         elif not fixed:
             joint = bodies[name].add_joint(name=name, type=KINDS[item["joint"]], axis=item["axis"])
-            joint.stiffness = item.get("stiffness", 0.0)
+            joint.stiffness[0] = item.get("stiffness", 0.0)  # of a polynomial
         if item.get("mass"):
             mass = HEAVY if "motion" in item else item["mass"]
             full, body = np.array(item["inertia"]), bodies[name]
             body.mass, body.ipos, body.explicitinertial = mass, item["com"], True
             body.fullinertia = [full[0, 0], full[1, 1], full[2, 2], full[0, 1], full[0, 2], full[1, 2]]
         if "motion" in item:
-            joint.stiffness = HEAVY * item["motion"]["rate"] ** 2
+            joint.stiffness[0] = HEAVY * item["motion"]["rate"] ** 2
         if "servo" in item:
             servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=item["servo"]["kp"], kv=item["servo"]["kd"])

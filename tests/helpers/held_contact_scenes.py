@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import coal
@@ -30,7 +30,8 @@ class Held:
     """A motion in lasting contact whose answer is known.
 
     exact: rows of what is compared at times [s]; observe: the same rows of a run, of its q (n, nq) and v (n, nv);
-    places: which of their numbers are coordinates; changes: times when a contact begins or ceases to stick, or ends.
+    places: which of their numbers are coordinates; changes: times when a contact begins or ceases to stick, or ends;
+    slip_ends: those of them when a slip comes to zero.
     """
 
     scene: cvi.Scene
@@ -41,12 +42,13 @@ class Held:
     observe: Observe
     places: tuple[int, ...] = (0,)
     changes: tuple[float, ...] = ()
+    slip_ends: tuple[float, ...] = ()
 
     def errors(self, traj: cvi.Trajectory, times: Array, exact: Array) -> Array:
         """Return the largest error of each number of the rows at times [s] at which the run has nodes."""
         at = np.searchsorted(traj.t, times - 1e-9)
         assert np.abs(traj.t[at] - times).max() < 1e-9
-        return np.abs(self.observe(traj.q[at], traj.v[at]) - exact).max(axis=0)
+        return np.asarray(np.abs(self.observe(traj.q[at], traj.v[at]) - exact).max(axis=0))
 
     def run(self, steps: int, order: int) -> cvi.Trajectory:
         dt = self.duration / steps
@@ -66,11 +68,20 @@ def _switched(
     observe: Observe, places: tuple[int, ...] = (0,),
 ) -> Held:  # fmt: skip
     """Return a motion that an oracle of modes knows."""
-    changes = tuple(change.t for change in states(np.array([0.0, duration]))[1])
-    return Held(scene, q, v, duration, lambda times: states(times)[0], observe, places, changes)
+    changes, sliding = states(np.array([0.0, duration]))[1], ("forward", "backward")
+    before = ["forward", *(change.mode for change in changes)]  # a rod slides at first
+    ends = tuple(
+        change.t for mode, change in zip(before, changes, strict=False)
+        if mode in sliding and change.mode in (*sliding, "sticks")
+    )  # fmt: skip
+    every = tuple(change.t for change in changes)
+    return Held(scene, q, v, duration, lambda times: states(times)[0], observe, places, every, ends)
 
 
-def _ball_on_plane(slope: float, friction: float, velocity, spin, duration: float, exact, changes=()) -> Held:
+def _ball_on_plane(
+    slope: float, friction: float, velocity: Sequence[float], spin: Sequence[float], duration: float,
+    exact: Callable[[Array], Array], changes: Sequence[float] = (),
+) -> Held:  # fmt: skip
     """A ball on a slope, with a velocity (down, across) and a spin in the axes of the slope."""
     scene = cvi.Scene()
     scene.add_halfspace(normal(slope), 0.0, name="ground")
@@ -84,7 +95,8 @@ def _ball_on_plane(slope: float, friction: float, velocity, spin, duration: floa
         speed, spun = (np.einsum("nij,nj->ni", turns, v[:, k : k + 3]) @ axes for k in (0, 3))
         return np.concatenate([(q[:, :3] @ axes)[:, :2], speed[:, :2], spun], axis=1)
 
-    return Held(scene, pose(RADIUS * normal(slope), start), v, duration, exact, observe, (0, 1), tuple(changes))
+    ends = tuple(changes)
+    return Held(scene, pose(RADIUS * normal(slope), start), v, duration, exact, observe, (0, 1), ends, ends)
 
 
 def slides_then_rolls(friction: float = 0.2) -> Held:
@@ -155,7 +167,7 @@ def turntable() -> Held:
     v = np.concatenate([[rate], velocity, [0.0], spin])
 
     def exact(times: Array) -> Array:
-        return oracle.on_turntable(rate, start, velocity, times)
+        return oracle.on_turntable(rate, start.tolist(), velocity.tolist(), times)
 
     return Held(scene, q, v, 2.0, exact, lambda q, v: q[:, 1:3], (0, 1))
 
@@ -235,14 +247,17 @@ def block_on_belt(block: oracle.BlockOnBelt, start: float, duration: float) -> H
     scene.set_joint("along", stiffness=block.stiffness)
     scene.prescribe("belt", block.belt)
     v = np.array([block.belt(0.0)[1], start, 0.0])
-    changes = tuple(piece[0] for piece in block.pieces(0.0, start, duration)[1:])
+    pieces = block.pieces(0.0, start, duration)
+    changes = tuple(piece[0] for piece in pieces[1:])
+    ends = tuple(later[0] for piece, later in zip(pieces, pieces[1:], strict=False) if piece[1])
 
     def observe(q: Array, v: Array) -> Array:
         return np.stack([q[:, 1], v[:, 1]], axis=1)
 
-    return Held(
-        scene, np.zeros(3), v, duration, lambda times: block.states(0.0, start, times), observe, changes=changes
-    )
+    def exact(times: Array) -> Array:
+        return block.states(0.0, start, times)
+
+    return Held(scene, np.zeros(3), v, duration, exact, observe, (0,), changes, ends)
 
 
 def steady_belt() -> Held:

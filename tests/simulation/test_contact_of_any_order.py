@@ -15,15 +15,18 @@ from helpers import held_contact_scenes as scenes
 from helpers.held_contact_scenes import Held
 from oracles import joint_friction
 
-EXACT: dict[str, Callable[[], Held]] = {
+ROLLING: dict[str, Callable[[], Held]] = {
     "ball slides, then rolls": scenes.slides_then_rolls,
-    "ball without friction": lambda: scenes.slides_then_rolls(0.0),
     "ball rolls down": scenes.rolls_down,
+}
+EXACT: dict[str, Callable[[], Held]] = {
+    "ball without friction": lambda: scenes.slides_then_rolls(0.0),
     "box slides to rest": lambda: scenes.box_slides(0.0, 0.3, 1.0, 1.0),
     "box slides up and back": lambda: scenes.box_slides(0.4, 0.3, 1.5, 1.0),
     "box slides up and stays": lambda: scenes.box_slides(0.4, 0.6, 1.5, 1.0),
 }
 MOTIONS: dict[str, Callable[[], Held]] = {
+    **ROLLING,
     "slip turns": lambda: scenes.turning_slip(1.7, 0.8),
     "slip turns and ends": lambda: scenes.turning_slip(2.0, 1.4),
     "ball on a turntable": scenes.turntable,
@@ -41,28 +44,33 @@ MOTIONS: dict[str, Callable[[], Held]] = {
     "coin goes round": scenes.rolling_coin,
     "coin wobbles": lambda: scenes.rolling_coin(1.0),
 }
-# Steps of the run at the orders 4, 8 and 16; a run of each takes milliseconds.
+# Steps of the run at the orders 4, 8 and 16. Where a change lies within its step moves the errors by a factor of two or
+# so: the numbers of steps are far apart, or the last one comes to rounding. What rolls turns by less than half a radian
+# in a step: longer ones are cut in two, which makes the same steps of several dt.
 STEPS: dict[str, tuple[Sequence[int], Sequence[int], Sequence[int]]] = {
-    "slip turns": ((5, 10, 20), (3, 5, 8), (2, 3, 4)),
-    "slip turns and ends": ((10, 20, 40), (4, 7, 12), (2, 3, 5)),
-    "ball on a turntable": ((10, 20, 40), (5, 8, 12), (3, 4, 6)),
-    "point leaves a sphere": ((10, 20, 40), (4, 6, 9), (2, 3, 4)),
-    "point slides off a sphere": ((10, 20, 40), (4, 6, 9), (2, 3, 4)),
-    "ball rolls off a sphere": ((10, 20, 40), (4, 6, 9), (2, 3, 4)),
-    "rod slides": ((10, 20, 40), (2, 3, 5), (1, 2, 3)),
-    "rod turns back": ((10, 20, 40), (3, 5, 8), (1, 2, 3)),
-    "rod sticks": ((10, 20, 40), (3, 5, 8), (1, 2, 3)),
-    "block on a belt": ((20, 40, 80), (8, 12, 20), (4, 6, 8)),
-    "block on a shaking belt": ((20, 40, 80), (8, 12, 20), (4, 6, 8)),
-    "box on a tilting plane": ((10, 20, 40), (2, 3, 5), (1, 2, 3)),
-    "pendulum with joint friction": ((40, 80, 160), (20, 32, 50), (12, 16, 24)),
-    "spring with joint friction": ((30, 60, 120), (12, 20, 30), (6, 8, 10)),
-    "coin goes round": ((20, 40, 80), (6, 9, 14), (3, 4, 6)),
-    "coin wobbles": ((40, 80, 160), (15, 24, 36), (6, 9, 12)),
+    "ball slides, then rolls": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
+    "ball rolls down": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
+    "slip turns": ((5, 10, 40), (4, 8, 16), (2, 3, 4)),
+    "slip turns and ends": ((10, 20, 80), (4, 8, 16), (2, 3, 5)),
+    "ball on a turntable": ((80, 160, 320), (30, 45, 60), (15, 20, 30)),
+    "point leaves a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
+    "point slides off a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
+    "ball rolls off a sphere": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
+    "rod slides": ((10, 20, 40), (2, 4, 8), (1, 2, 3)),
+    "rod turns back": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
+    "rod sticks": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
+    "block on a belt": ((20, 40, 160), (10, 20, 60), (4, 6, 10)),
+    "block on a shaking belt": ((20, 40, 160), (10, 20, 60), (4, 6, 10)),
+    "box on a tilting plane": ((5, 10, 40), (2, 3, 5), (1, 2, 3)),
+    "pendulum with joint friction": ((40, 80, 320), (20, 40, 80), (12, 18, 24)),
+    "spring with joint friction": ((30, 60, 240), (12, 24, 60), (5, 8, 12)),
+    "coin goes round": ((40, 80, 160), (20, 30, 40), (15, 20, 30)),
+    "coin wobbles": ((60, 120, 240), (30, 45, 60), (15, 20, 30)),
 }
 CHANGING = (
-    "slip turns and ends", "point leaves a sphere", "point slides off a sphere", "ball rolls off a sphere",
-    "rod turns back", "rod sticks", "block on a belt", "block on a shaking belt", "box on a tilting plane",
+    "ball slides, then rolls", "slip turns and ends", "point leaves a sphere", "point slides off a sphere",
+    "ball rolls off a sphere", "rod turns back", "rod sticks", "block on a belt", "block on a shaking belt",
+    "box on a tilting plane",
 )  # fmt: skip
 ORDER_2 = (50, 200, 800)
 # Between those: the beginning of a slip is not located at order 2, and the factor of the square of the step's length
@@ -86,11 +94,16 @@ def check_order(held: Held, order: int, counts: Sequence[int], slack: float = 0.
     assert errors[-1] < 2e-3
 
 
-@pytest.mark.parametrize("order", [2, 4, 8, 16])
-@pytest.mark.parametrize("name", EXACT)
+@pytest.mark.parametrize(
+    ("name", "order"), [(name, order) for name in EXACT for order in (2, 4, 8, 16)] + [(name, 2) for name in ROLLING]
+)
 def test_what_is_exact(name, order):
-    """Constant forces between the changes: every order has the answer, with steps of any length."""
-    held = EXACT[name]()
+    """Constant forces between the changes, and steps of any length.
+
+    At order 2 a ball that rolls is exact, too. Above the spin at a stage is that of a polynomial of turns, and not the
+    momentum of the stage over the inertia: what rolls has the error of the order.
+    """
+    held = {**EXACT, **ROLLING}[name]()
     for count in (7, 20):
         times = held.duration / count * np.arange(1, count + 1)
         exact = held.exact(np.append(0.0, times))[1:]
@@ -116,8 +129,8 @@ def test_times_of_changes(name):
     assert held.changes
     found = np.array([change.time for change in traj.contact_changes])
     for time in held.changes:
-        # the root of a speed or of a force is as exact as these, beside their rates, which are near 1
-        assert np.abs(found - time).min() < 1e-8
+        # The end of a slip moves the motion by its error; its beginning, or the end of a contact, by the square.
+        assert np.abs(found - time).min() < (1e-9 if time in held.slip_ends else 1e-6)
 
 
 @pytest.mark.parametrize("order", [4, 8])
@@ -126,7 +139,7 @@ def test_twenty_cycles(order):
     period = 2.0 * math.pi / 7.0
     held = scenes.shaking_belt(20.0 * period)
     assert len(held.changes) > 70
-    check_order(held, order, {4: (200, 400, 800), 8: (100, 140, 200)}[order])
+    check_order(held, order, {4: (200, 400, 1600), 8: (90, 180, 540)}[order])
 
 
 @pytest.mark.parametrize("order", [4, 8])
@@ -136,6 +149,19 @@ def test_rolling_keeps_the_energy(order):
     counts = STEPS["coin wobbles"][{4: 0, 8: 1}[order]]
     ranges = [float(np.ptp(held.run(count, order).energy)) for count in counts]
     assert ranges[-1] < ROUNDING or observed_order(ranges, counts) > order - 0.3, ranges
+
+
+@pytest.mark.parametrize("order", [4, 8, 16])
+@pytest.mark.parametrize("name", EXACT)
+def test_states_between_the_nodes(name, order):
+    """Constant forces: the polynomials of the steps are the motion, on both sides of a change."""
+    held = EXACT[name]()
+    traj = held.run(10, order)
+    times = np.linspace(0.0, held.duration, 73)[1:]
+    states = [traj.at(t) for t in times]
+    seen = held.observe(np.array([state.q for state in states]), np.array([state.v for state in states]))
+    # the polynomial's rate where steps are short: rounding over their length
+    assert np.abs(seen - held.exact(np.append(0.0, times))[1:]).max() < 1e-9
 
 
 @pytest.mark.parametrize("order", [4, 8, 16])
@@ -160,3 +186,10 @@ def test_auto_meets_the_accuracy(name, tol):
     # of some coordinates only, and the estimate is one of the first order
     assert error <= 3.0 * traj.error_estimate
     assert traj.error_estimate <= tol
+
+
+@pytest.mark.parametrize("name", ["ball rolls down", "slip turns", "rod slides", "coin goes round"])
+def test_auto_takes_long_steps(name):
+    """In a phase without changes the steps are those of the order, and not as short as contact of order 2 asks for."""
+    held = MOTIONS[name]()
+    assert len(held.run_auto(1e-6).t) < 100  # a second of some 10 rad/s, half a radian a step, and companion levels
