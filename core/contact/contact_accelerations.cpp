@@ -130,6 +130,12 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
   if (!accelerations(equations, q, v, tau)) return false;
   const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
   force_cones_.resize(friction_rows_ + contacts_.size());
+  for (int k = 0; k < friction_rows_; ++k) {
+    const FrictionJoint& joint = friction_joints_[k];
+    ConeContact& cone = force_cones_[k] = joint_friction_cone(k, joint.limit);
+    cone.frozen = !joint.sticks;
+    cone.d[0] = joint.heading > 0.0 ? 1.0 : -1.0;
+  }
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     ConeContact& cone = force_cones_[friction_rows_ + i];
     cone = cones_[friction_rows_ + i];
@@ -151,6 +157,7 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
   double stiffest = 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
   out.scale = std::max(stiffest > 0.0 ? scene_->tree.gravity.norm() / stiffest : 0.0, out.f.cwiseAbs().maxCoeff());
+  for (const FrictionJoint& joint : friction_joints_) out.scale = std::max(out.scale, joint.limit);
   return out.f.allFinite() && out.a.allFinite() && out.scale > 0.0;
 }
 

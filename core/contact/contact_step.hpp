@@ -26,6 +26,7 @@
 #include "cone/problem_log.hpp"
 #include "cone/solver.hpp"
 #include "contact/contact_step_record.hpp"
+#include "contact/friction_joint.hpp"
 #include "contact/persistent_geometry.hpp"
 #include "geometry/guard.hpp"
 #include "model/step_costs.hpp"
@@ -50,11 +51,11 @@ class ContactStep final : public Stepper {
   const std::vector<PersistentContact>& contacts() const { return contacts_; }
   // True if a step needs no impulses: there are no persistent contacts, constraints or joints with friction.
   bool empty() const { return contacts_.empty() && !has_fixed_rows(); }
-  // Smooth steps keep the constraints as long as no contacts persist.
-  void leave_constraints_to_smooth_steps() { constraints_alone_ = false; }
+  // Smooth steps keep constraints and joint friction as long as no contacts persist.
+  void leave_fixed_rows_to_smooth_steps() { fixed_rows_alone_ = false; }
   bool constrained() const { return bilateral_ > 0; }
   // Whether constraints or joint friction make every step one of these.
-  bool has_fixed_rows() const { return (constraints_alone_ ? bilateral_ : 0) + friction_rows_ > 0; }
+  bool has_fixed_rows() const { return fixed_rows_alone_ && bilateral_ + friction_rows_ > 0; }
   void set_time(double t) { integrator_.set_time(t); }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // From now on the contact problems of steps are kept there; null: no longer.
@@ -155,6 +156,7 @@ class ContactStep final : public Stepper {
   auto force_slip(std::size_t i) const { return w_end_.segment<2>(row_[i] + 1); }
   const Vec3& force_tangent(std::size_t i) const { return node1_.t1[i]; }
   const Contact& force_contact(std::size_t i) const { return node1_.at[i]; }
+  int joint_row(std::size_t k) const { return bilateral_ + static_cast<int>(k); }
   // Smooth steps have led to a state with this velocity.
   void follow(const VecX& v) { v1_ = v; }
   // Scale of the forces that the last call of persistent_forces found [N]: the largest of them, or the weight on a
@@ -186,15 +188,7 @@ class ContactStep final : public Stepper {
     MatX W;                              // nv x rows
   };
 
-  // A degree of freedom with joint friction.
-  struct FrictionJoint {
-    int dof, iq;   // iq: -1 for a joint with more than one coordinate in q
-    double limit;  // friction force or torque [N; N m]
-    bool anchored = false;
-    double anchor = 0, reference = 0;  // coordinates: where it sticks, and from which the displacement of a step counts
-    double speed = 0;                  // at the start of the step; 0 where it sticks
-  };
-  // The result of a step for it; fields as in ContactOutcome.
+  // The result of a step for a joint with friction; fields as in ContactOutcome.
   struct FrictionJointOutcome {
     bool slipped = false, slips = false, turned = false, keeps = false, freed = false;
     double reversed = 0;
@@ -281,7 +275,7 @@ class ContactStep final : public Stepper {
   Reduction reduction_;
   int bilateral_ = 0, friction_rows_ = 0;  // rows of constraints, of joint friction; those of the contacts follow
   int violated_constraint_ = -1;
-  bool constraints_alone_ = true;
+  bool fixed_rows_alone_ = true;
   VecX fixed_force_;  // of the rows of constraints and joint friction in the last step
   int rows_ = 0;
   bool iterated_ = false;  // whether the gap of some contact is the end of Newton's method, which rounds more

@@ -8,8 +8,10 @@ namespace {
 constexpr double kStill = 1e-11;  // of the speeds: slip below it has no direction
 }  // namespace
 
-void PersistentRows::set(const std::vector<PersistentContact>& contacts, int places) {
+void PersistentRows::set(const std::vector<PersistentContact>& contacts, const std::vector<FrictionJoint>& joints,
+                         int places) {
   contacts_ = &contacts;
+  joints_ = &joints;
   const std::size_t n = contacts.size();
   rows_.resize(n);
   slide_.assign(n, -1);
@@ -28,6 +30,19 @@ void PersistentRows::set(const std::vector<PersistentContact>& contacts, int pla
       slide_[i] = static_cast<int>(slides_.size());
       slides_.push_back({rows_[i], c.mu});
       sliding_.push_back(i);
+    }
+  }
+  joint_rows_.assign(joints.size(), -1);
+  loaded_ = false;
+  load_.setZero();
+  for (std::size_t k = 0; k < joints.size(); ++k) {
+    const FrictionJoint& joint = joints[k];
+    if (joint.sticks) {
+      joint_rows_[k] = static_cast<int>(by_rate_.size());
+      by_rate_.push_back(joint.iq >= 0 ? 0 : 1);
+    } else {
+      load_[joint.dof] = -std::copysign(joint.limit, joint.heading);
+      loaded_ = true;
     }
   }
   count_ = static_cast<int>(by_rate_.size());
@@ -65,6 +80,14 @@ void PersistentRows::place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<M
       phi.segment<2>(r + 1) = geometry_.displacement(c, references_[i]);
     else
       phi.segment<2>(r + 1).setZero();
+  }
+  for (std::size_t k = 0; k < joints_->size(); ++k) {
+    const int r = joint_rows_[k];
+    if (r < 0) continue;
+    const FrictionJoint& joint = (*joints_)[k];
+    W.col(r).setZero();
+    W(joint.dof, r) = 1.0;
+    phi[r] = joint.iq >= 0 ? q[joint.iq] - joint.anchor : 0.0;
   }
 }
 

@@ -1,9 +1,11 @@
-// Persistent contacts as the rows of smooth steps: what sticks has three, what slides or has no friction one.
+// Persistent contacts as the rows of smooth steps: what sticks has three, what slides or has no friction one. Joints with
+// friction that stick have one.
 //
 // A material point sticks where its displacement on the other surface stays zero. Surfaces that roll on each other have
 // no such displacement: the velocity of their slip is zero.
 #pragma once
 
+#include "contact/friction_joint.hpp"
 #include "contact/persistent_geometry.hpp"
 #include "step/phase_rows.hpp"
 
@@ -11,15 +13,16 @@ namespace contactvi {
 
 class PersistentRows final : public PhaseRows {
  public:
-  PersistentRows(Guards& guards, int nv) : guards_(&guards), geometry_(guards), row_of_(nv, 3) {}
+  PersistentRows(Guards& guards, int nv) : guards_(&guards), geometry_(guards), row_of_(nv, 3), load_(VecX::Zero(nv)) {}
 
   // Takes the contacts as they stick and slide now; places: at which a step looks at them.
-  void set(const std::vector<PersistentContact>& contacts, int places);
+  void set(const std::vector<PersistentContact>& contacts, const std::vector<FrictionJoint>& joints, int places);
 
   int count() const override { return count_; }
   bool by_rate(int row) const override { return by_rate_[static_cast<std::size_t>(row)] != 0; }
   const std::vector<Slide>& slides() const override { return slides_; }
   void place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) override;
+  const VecX* load() const override { return loaded_ ? &load_ : nullptr; }
   double start_angle(int slide, const Eigen::Vector2d& slip, double speed) const override;
 
   // Of contact i: its first row, and its number among the sliding ones, -1: it does not slide.
@@ -27,7 +30,9 @@ class PersistentRows final : public PhaseRows {
   int slide(std::size_t i) const { return slide_[i]; }
   // Of a material point: from where its displacement counts (PersistentGeometry).
   const Vec3& reference(std::size_t i) const { return references_[i]; }
-  // Where it is at a place of the step: its first tangent, world.
+  // Row of a joint with friction, -1: it slides.
+  int joint_row(std::size_t k) const { return joint_rows_[k]; }
+  // Where a contact is at a place of the step: its first tangent, world.
   struct Site {
     Contact contact;
     Vec3 t1;
@@ -49,6 +54,10 @@ class PersistentRows final : public PhaseRows {
   std::vector<Vec3> references_;
   std::vector<std::vector<Site>> sites_;
   MatX row_of_;
+  const std::vector<FrictionJoint>* joints_ = nullptr;
+  std::vector<int> joint_rows_;
+  bool loaded_ = false;
+  VecX load_;
 };
 
 }  // namespace contactvi

@@ -87,7 +87,7 @@ bool Simulator::end_with_too_many_steps(double time, double h) {
 
 // Whether the steps that come are contact steps, of a length of their own, or dense steps.
 bool Simulator::takes_contact_steps() const {
-  return state_.dense.active || (!contact_step_.empty() && !keeps_constraints(scene_->tree, options_));
+  return state_.dense.active || (!contact_step_.empty() && !keeps_constraints_);
 }
 
 // Steps to the end of the one with the next impact, or in which persistent contact begins or ends; to where the length

@@ -39,7 +39,10 @@ bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX
     endings_.push_back({i, End::kRelease});
     if (contacts[i].mu > 0.0) endings_.push_back({i, contacts[i].sticks ? End::kSlip : End::kStick});
   }
-  rows_.set(contacts, 2 * integrator_->stages() + 1);
+  const std::vector<FrictionJoint>& joints = step_->friction_joints();
+  for (std::size_t k = 0; k < joints.size(); ++k)
+    endings_.push_back({k, joints[k].sticks ? End::kJointSlips : End::kJointSticks});
+  rows_.set(contacts, joints, 2 * integrator_->stages() + 1);
   integrator_->hold(&rows_);
   active_ = true;
   watches_ = false;
@@ -55,8 +58,25 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
     contacts[i].heading.setZero();
     if (contacts[i].mu > 0.0 && !contacts[i].sticks) directions_[i] = contacts[i].slip;
   }
+  const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
+  for (FrictionJoint& joint : step_->friction_joints()) {
+    joint.sticks = std::abs(v[joint.dof]) <= still;
+    joint.heading = joint.sticks ? 0.0 : std::copysign(1.0, v[joint.dof]);
+    joint.anchored = joint.anchored && joint.sticks;
+    if (joint.sticks && !joint.anchored && joint.iq >= 0) {
+      joint.anchor = q[joint.iq];
+      joint.anchored = true;
+    }
+  }
   if (!step_->forces_at(*integrator_, q, v, t, tau, directions_, forces_)) return false;
   const double begins = kBegins * forces_.largest;
+  for (std::size_t k = 0; k < step_->friction_joints().size(); ++k) {
+    FrictionJoint& joint = step_->friction_joints()[k];
+    const double a = forces_.a[step_->joint_row(k)];
+    if (!joint.sticks || !(std::abs(a) > begins)) continue;
+    joint.sticks = joint.anchored = false;
+    joint.heading = std::copysign(1.0, a);
+  }
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
     if (c.mu == 0.0) continue;
@@ -93,8 +113,9 @@ bool ContactModes::fits(const VecX& q1) {
   return true;
 }
 
-void ContactModes::take_step(double h, const VecX& tau) {
+void ContactModes::take_step(double h, const VecX& v0, const VecX& tau) {
   h_ = h;
+  v0_ = v0;
   tau_ = tau;
   const int s = integrator_->stages();
   const MatX& angles = integrator_->constraints()->slip_angles();
@@ -145,6 +166,29 @@ bool ContactModes::may_end() const {
     }
     if (!(least > kFalling * largest) || (j >= 0 && !(slowest > kFalling * fastest))) return true;
   }
+  return joints_may_end(rows);
+}
+
+bool ContactModes::joints_may_end(const StageConstraints& rows) const {
+  const LobattoTable& table = rows.table();
+  const std::vector<FrictionJoint>& joints = step_->friction_joints();
+  for (std::size_t k = 0; k < joints.size(); ++k) {
+    const int r = rows_.joint_row(k);
+    if (r >= 0) {
+      for (int node = 0; node <= table.s; ++node)
+        if (!(std::abs(rows.phase_impulses()(r, node)) < kInside * joints[k].limit * table.e[node] * h_)) return true;
+      continue;
+    }
+    const double sign = joints[k].heading, v0 = sign * v0_[joints[k].dof],
+                 v1 = sign * rows.end_velocity()[joints[k].dof];
+    double slowest = std::min(v0, v1), fastest = std::max(v0, v1);
+    for (int i = 0; i < table.s; ++i) {
+      const double v = sign * integrator_->stage_velocities()[joints[k].dof * integrator_->padded_stages() + i];
+      slowest = std::min(slowest, v);
+      fastest = std::max(fastest, v);
+    }
+    if (!(slowest > kFalling * fastest)) return true;
+  }
   return false;
 }
 
@@ -189,10 +233,23 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
   const double largest = forces_.largest, speed = 1.0 + v.cwiseAbs().maxCoeff();
   for (std::size_t k = 0; k < endings_.size(); ++k) {
     const std::size_t i = endings_[k].contact;
-    const int r = step_->row(i);
+    const bool of_joint = endings_[k].end == End::kJointSlips || endings_[k].end == End::kJointSticks;
+    const int r = of_joint ? step_->joint_row(i) : step_->row(i);
     const double size = kCoarse * std::max(forces_.scale, largest / G(r, r));
     double& value = values[static_cast<Eigen::Index>(k)];
     switch (endings_[k].end) {
+      case End::kJointSlips: {
+        const double a = std::abs(forces_.a[r]), limit = step_->friction_joints()[i].limit;
+        value = (a > kBegins * largest ? -a / G(r, r) : std::max(0.0, limit - std::abs(forces_.f[r]))) / size;
+        break;
+      }
+      case End::kJointSticks: {
+        const FrictionJoint& joint = step_->friction_joints()[i];
+        const double along = joint.heading * v[joint.dof] / speed;
+        const bool begins = std::abs(v0_[joint.dof]) < kBegun;
+        value = begins ? std::copysign(std::max(0.0, std::abs(along) - kBegun), along) : along;
+        break;
+      }
       case End::kRelease:
         value = (forces_.f[r] > 0.0 ? forces_.f[r] : -forces_.a[r] / G(r, r)) / size;
         break;
@@ -241,6 +298,13 @@ void ContactModes::come_to_rest(std::size_t first, const VecX& v) {
     c.slip.setZero();
   }
   step_->invalidate();
+}
+
+void ContactModes::begin_joint_slip(std::size_t k) {
+  FrictionJoint& joint = step_->friction_joints()[k];
+  joint.sticks = joint.anchored = false;
+  joint.heading = -std::copysign(1.0, forces_.f[step_->joint_row(k)]);
+  step_->leave();
 }
 
 void ContactModes::commit(double time, long step, bool wanted, Recording& recording) {

@@ -30,16 +30,16 @@ class ContactModes final : public SwitchFunctions {
   // The step of length h from q0 was solved to q1: whether its contacts are still those of the features that touch, and
   // whether what they do may end in it.
   bool fits(const VecX& q1);
-  void take_step(double h, const VecX& tau);
+  void take_step(double h, const VecX& v0, const VecX& tau);
   bool may_end() const;
   double friction_work() const;  // in the step just solved [J], <= 0
 
   int count() const override { return active_ && watches_ ? static_cast<int>(endings_.size()) : 0; }
   void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;
 
-  enum class End { kRelease, kSlip, kStick };
+  enum class End { kRelease, kSlip, kStick, kJointSlips, kJointSticks };
   struct Ending {
-    std::size_t contact;
+    std::size_t contact;  // or joint with friction
     End end;
   };
   const Ending& ending(int function) const { return endings_[static_cast<std::size_t>(function)]; }
@@ -47,6 +47,7 @@ class ContactModes final : public SwitchFunctions {
   // are as far.
   void begin_slip(std::size_t i);
   void come_to_rest(std::size_t i, const VecX& v);
+  void begin_joint_slip(std::size_t k);
 
   // The step, or the part of it that was solved last, is taken: its forces are recorded, and the contacts are where it
   // ends, at (q1, v1). rows: whether forces are wanted in the record.
@@ -57,6 +58,7 @@ class ContactModes final : public SwitchFunctions {
   bool is_paradox(std::size_t i) const;
   Vec3 direction(double at, std::size_t i) const;
   double stick_margin(std::size_t i) const;
+  bool joints_may_end(const StageConstraints& rows) const;
 
   const Scene* scene_;
   Guards* guards_;
@@ -68,6 +70,7 @@ class ContactModes final : public SwitchFunctions {
   std::vector<char> begins_;  // per contact: its slip begins with the step
   std::vector<Ending> endings_;
   double t_ = 0.0, h_ = 0.0;
+  VecX v0_;
   VecX tau_;
   std::vector<std::vector<Vec3>> headings_;  // per node of the whole step, and contact
   std::vector<Vec3> directions_;

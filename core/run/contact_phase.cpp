@@ -192,7 +192,7 @@ bool Simulator::advance_contact(Interval& interval, long halved, Recording& reco
   const bool was_persistent = !contact_step_.contacts().empty();
   if (!update_contact_points(interval, recording)) return false;
   if (was_persistent && contact_step_.contacts().empty()) resume_free_motion(at);
-  if (contact_step_.empty()) return true;
+  if (contact_step_.empty() && !has_phase()) return true;
   if (may_hold_contacts(at)) return advance_free(interval, halved, recording);
   const double parts = interval.parts(nominal);
   const double whole = interval.remaining / parts;

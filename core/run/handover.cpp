@@ -31,7 +31,7 @@ void Simulator::hand_over(Handover& to) const {
   to.separated = state_.separated;
   to.flights = state_.flights.entries();
   to.joint_friction.clear();
-  for (const ContactStep::FrictionJoint& joint : contact_step_.friction_joints())
+  for (const FrictionJoint& joint : contact_step_.friction_joints())
     to.joint_friction.push_back({joint.anchored, joint.anchor, 0.0});
   const VecX& forces = to.dense_step.joint_friction;
   for (Eigen::Index k = 0; k < forces.size(); ++k) to.joint_friction[k].force = forces[k];

@@ -17,9 +17,14 @@ constexpr double kLongestSpan = 64.0;     // lengths of contact steps that are m
 constexpr double kAtOnce = 1e-9;          // [s] of 1 s + t: spans follow each other
 }  // namespace
 
+// Whether steps keep more than the constraints: persistent contacts, joint friction.
+bool Simulator::has_phase() const {
+  return !contact_step_.contacts().empty() ||
+         (keeps_constraints_ && !scene_->tree.elements.friction_dofs.empty());
+}
+
 bool Simulator::may_hold_contacts(double time) const {
-  return keeps_constraints(scene_->tree, options_) && !contact_step_.contacts().empty() &&
-         time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
+  return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }
 
 bool Simulator::leave_to_contact_steps(double time) {
@@ -49,8 +54,15 @@ bool Simulator::shorten_held_step(double h, double time, int line) {
 void Simulator::change_contact(int function, double time, const VecX& v, bool moved, Recording& recording) {
   const ContactModes::Ending ending = modes_.ending(function);
   if (std::getenv("CVDBG")) std::fprintf(stderr, "change t=%.12f contact %zu end %d moved %d\n", time, ending.contact, (int)ending.end, (int)moved);
-  const ContactPoint point = contact_step_.contacts()[ending.contact].point;
+  const bool of_joint = ending.end == ContactModes::End::kJointSlips || ending.end == ContactModes::End::kJointSticks;
+  const ContactPoint point = of_joint ? ContactPoint() : contact_step_.contacts()[ending.contact].point;
   switch (ending.end) {
+    case ContactModes::End::kJointSlips:
+      modes_.begin_joint_slip(ending.contact);
+      break;
+    case ContactModes::End::kJointSticks:
+      contact_step_.invalidate();  // it may turn back: that is decided at the start of the next step
+      break;
     case ContactModes::End::kRelease:
       modes_.end_step();
       contacts_.release(static_cast<int>(ending.contact), time, recording);

@@ -164,9 +164,9 @@ void fields(Archive& a, ContactStep::Node& x) {
 }
 
 template <class Archive>
-void fields(Archive& a, ContactStep::FrictionJoint& x) {
-  auto& [dof, iq, limit, anchored, anchor, reference, speed] = x;
-  values(a, dof, iq, limit, anchored, anchor, reference, speed);
+void fields(Archive& a, FrictionJoint& x) {
+  auto& [dof, iq, limit, anchored, anchor, reference, speed, sticks, heading] = x;
+  values(a, dof, iq, limit, anchored, anchor, reference, speed, sticks, heading);
 }
 
 template <class Archive>

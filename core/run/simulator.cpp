@@ -26,20 +26,21 @@ bool dissipates(const Tree& tree) {
 
 }  // namespace
 
-// Of the scene's constraints, in flight: order 2 and joint friction are those of contact steps, and so are steps whose
-// derivatives are wanted.
+// Order 2 is that of contact steps, and so are steps whose derivatives are wanted. Implicit maps solve steps of their own,
+// which know no joint friction but that of contact steps.
 bool keeps_constraints(const Tree& tree, const SimulatorOptions& options) {
-  return options.stages > 1 && !options.gradient && tree.elements.friction_dofs.empty();
+  return options.stages > 1 && !options.gradient &&
+         (tree.elements.friction_dofs.empty() || options.impact == ImpactMap::kCtec);
 }
 
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),
       options_(options),
       law_(&impact_law(options.impact)),
+      keeps_constraints_(keeps_constraints(scene.tree, options)),
       dissipative_(dissipates(scene.tree)),
       does_work_(scene_does_work()),
-      integrator_(scene.tree, options.stages, options.tol, options.max_iterations,
-                  keeps_constraints(scene.tree, options)),
+      integrator_(scene.tree, options.stages, options.tol, options.max_iterations, keeps_constraints_),
       guards_(scene, options.contact_points),
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds()),
@@ -68,7 +69,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
   state_.q.setZero(scene.tree.nq);
   state_.p.setZero(scene.tree.nv);
   if (options.gradient) dense_step_.keep_records();
-  if (integrator_.constraints()) contact_step_.leave_constraints_to_smooth_steps();
+  if (keeps_constraints_) contact_step_.leave_fixed_rows_to_smooth_steps();
 }
 
 void Simulator::join(SideBySide& company) {
@@ -320,10 +321,11 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       continue;
     }
     const double cost = located_cost();
-    if (!contact_step_.empty()) state_.watch.known = false;  // friction takes energy there
+    const bool phase = !contact_step_.empty() || has_phase();
+    if (phase) state_.watch.known = false;  // friction takes energy there
     const long before = state_.impacts;
-    const bool going = contact_step_.empty() ? advance_free(interval, halved, recording)
-                                             : advance_contact(interval, halved, recording);
+    const bool going =
+        phase ? advance_contact(interval, halved, recording) : advance_free(interval, halved, recording);
     modes_.end_step();
     if (!branches_.none()) branches_.end_step();
     count_saturated();
@@ -357,7 +359,8 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   const double longest = control.longest_free();
   const bool halves = longest < interval.remaining * (1.0 - 1e-9);
   double h = halves ? longest : interval.remaining;
-  const bool holds = !contact_step_.contacts().empty();
+  const bool holds = has_phase();
+  const bool touches = !contact_step_.contacts().empty();
   const bool last_try = !holds && (truncation_.bound > 0.0 || h < StepControl::kShortest * options_.dt ||
                                    control.halved - halved >= kMostHalvings);
   integrator_.set_time(at);
@@ -385,7 +388,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     control.halve_free(h);
     return true;
   }
-  if (holds) modes_.take_step(h, interval.tau);
+  if (holds) modes_.take_step(h, v_, interval.tau);
   bool switches = false;  // the step is to end where a branch does
   if (all_switches_.count() > 0) {
     const Search found = switches_.search(state_.q, state_.p, v_, q1_, p1_, h, interval.tau);
@@ -454,7 +457,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (switches) enter_branch(interval, state_.q, switches_.v(), true, recording);
   modes_.end_step();
   if (holds) control.progress();
-  if (holds && contact_step_.contacts().empty()) resume_free_motion(interval.start + interval.done);
+  if (touches && contact_step_.contacts().empty()) resume_free_motion(interval.start + interval.done);
   // Each part of a step that was cut counts as a step of its own.
   if (interval.remaining > 0.0) law_->start_step(free_state(interval.start + interval.done), state_.reference);
   return true;

@@ -52,7 +52,8 @@ struct SimulatorOptions {
   ContactSteps contact_steps = ContactSteps::kAuto;
 };
 
-// Whether the smooth steps of a run keep the scene's constraints; else contact steps do.
+// Whether the smooth steps of a run keep the scene's constraints, persistent contacts and joint friction; else contact
+// steps do.
 bool keeps_constraints(const Tree& tree, const SimulatorOptions& options);
 
 // Called about ten times a second with (time [s], impacts so far); false asks the run to stop.
@@ -223,6 +224,7 @@ class Simulator {
   void recall(const EngineMemory& memory);
 
   // held_contacts.cpp: persistent contacts in smooth steps.
+  bool has_phase() const;
   bool may_hold_contacts(double time) const;
   bool leave_to_contact_steps(double time);
   bool shorten_held_step(double h, double time, int line = __builtin_LINE());
@@ -273,6 +275,7 @@ class Simulator {
   const Scene* scene_;
   SimulatorOptions options_;
   const ImpactLaw* law_;
+  const bool keeps_constraints_;  // keeps_constraints()
   bool dissipative_, does_work_;  // whether some force dissipates energy; whether any but gravity and springs does work
   RunState state_;
   Integrator integrator_;

@@ -11,7 +11,7 @@ namespace contactvi {
 bool Simulator::flies_undisturbed() const {
   const Elements& e = scene_->tree.elements;
   return truncation_.bound == 0.0 && !options_.dense && !law_->implicit() && guide_ == nullptr &&
-         !state_.dense.active && contact_step_.empty() && state_.control.flight == 0.0 &&
+         !state_.dense.active && contact_step_.empty() && !has_phase() && state_.control.flight == 0.0 &&
          state_.control.free.longest >= options_.dt && e.effort.size() + e.speed.size() == 0 && branches_.none() &&
          state_.actuators.given.size() == 0;
 }

@@ -24,12 +24,14 @@ void WorkAccount::start(double t, const Tree& tree, const VecX& p, bool does_wor
 
 WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) const {
   if (!tally_.does_work) return {};
-  FreeWork work{integrator.input_work(), integrator.damping_loss(), 0.0};
+  FreeWork work{integrator.input_work(), integrator.damping_loss()};
+  const StageConstraints* constraints = integrator.constraints();
+  if (constraints) work.joint_friction = -constraints->load_work();
   if (tally_.reactions.size() == 0) return work;
   const VecX coupled = integrator.coupled_impulses();
   work.reactions.setZero(tally_.reactions.size());
   work.reactions.tail(coupled.size()) = coupled;
-  if (const StageConstraints* constraints = integrator.constraints()) {
+  if (constraints) {
     work.driven = constraints->work();
     work.reactions.head(constraints->impulses().size()) = constraints->impulses();
   }
@@ -40,6 +42,7 @@ void WorkAccount::add(const FreeWork& work) {
   tally_.input += work.input;
   tally_.damping += work.damping;
   tally_.driven += work.driven;
+  tally_.joint_friction += work.joint_friction;
   add_reactions(work.reactions);
 }
 
@@ -47,6 +50,7 @@ void WorkAccount::add(const FreeWork& work, const std::vector<int>& rows) {
   tally_.input += work.input;
   tally_.damping += work.damping;
   tally_.driven += work.driven;
+  tally_.joint_friction += work.joint_friction;
   for (Eigen::Index k = 0; k < work.reactions.size(); ++k) tally_.reactions[rows[k]] += work.reactions[k];
 }
 

@@ -32,7 +32,7 @@ class WorkAccount {
 
   // Works of one smooth step [J], taken before the integrator solves another one.
   struct FreeWork {
-    double input = 0, damping = 0, driven = 0;
+    double input = 0, damping = 0, driven = 0, joint_friction = 0;
     VecX reactions = {};  // as of WorkTally; empty: none
   };
   FreeWork of(const Integrator& integrator) const;

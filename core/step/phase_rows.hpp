@@ -2,7 +2,8 @@
 // gaps, material points that stick to each other, surfaces that roll on each other.
 //
 // Each row has an impulse at every node of a step, which acts along its gradient. Beside its normal row a sliding
-// contact has no rows but two tangents: its friction is mu times its normal impulse, against its slip.
+// contact has no rows but two tangents: its friction is mu times its normal impulse, against its slip. Joints with
+// friction have a row where they stick, and else a constant force.
 #pragma once
 
 #include <vector>
@@ -27,6 +28,8 @@ class PhaseRows {
   // Sets, at a configuration of the step, the displacements phi (count,), the gradients W (nv, count), and the tangents
   // T (nv, 2 per slide). Tangents turn with their surfaces from place 0 on, the start of the step, which comes first.
   virtual void place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) = 0;
+  // Constant forces of the step (nv,), those of joints that slide against their friction; null: none.
+  virtual const VecX* load() const = 0;
   // Direction of the slip at the start, as an angle from the first tangent [rad]; slip: its components there, of a
   // motion of this speed.
   virtual double start_angle(int slide, const Eigen::Vector2d& slip, double speed) const = 0;

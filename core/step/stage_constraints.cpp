@@ -71,6 +71,7 @@ StageConstraints::StageConstraints(const Tree& tree, int stages)
 void StageConstraints::hold(PhaseRows* rows) {
   phase_ = rows;
   rows_ = fixed_ + (rows != nullptr ? rows->count() : 0);
+  load_ = rows != nullptr ? rows->load() : nullptr;
   slides_ = rows != nullptr ? static_cast<int>(rows->slides().size()) : 0;
   rolling_ = 0;
   for (int r = 0; r < rows_ - fixed_; ++r) rolling_ += rows->by_rate(r) ? 1 : 0;
@@ -199,7 +200,7 @@ void StageConstraints::place_nodes(Stages& stages) {
   double* given = stages.impulse();
   std::fill_n(given, static_cast<std::size_t>(nv) * S, 0.0);
   for (int k = 1; k < stages_; ++k) {  // the share of the first one in all stages is that in the end
-    impulse_.noalias() = nodes_[k].chart_F * lambda_.col(k);
+    impulse_at(k, true);
     for (int d = 0; d < nv; ++d)
       for (int i = 0; i < S; ++i)
         given[static_cast<std::size_t>(d) * S + i] += (table_->share[std::min(i, stages_ - 1)][k] - 1.0) * impulse_[d];
@@ -244,11 +245,26 @@ bool StageConstraints::find_slips() {
   return any;
 }
 
+// Sets impulse_ to what acts at a node.
+void StageConstraints::impulse_at(int node, bool chart) {
+  const Node& at = nodes_[node];
+  impulse_.noalias() = (chart ? at.chart_F : at.F) * lambda_.col(node);
+  if (load_ == nullptr) return;
+  const double weight = h_ * table_->e[node];
+  impulse_ += weight * *load_;
+  if (!chart) return;
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    const Vec3 own = load_->segment<3>(joint.iv);
+    impulse_.segment<3>(joint.iv) += weight * (so3_right_jacobian(at.X.segment<3>(joint.iv)).transpose() * own - own);
+  }
+}
+
 // The start momentum with all impulses but the last one; on spherical joints in the frame of the start.
 void StageConstraints::add_impulses() {
   p_start_ = p0_;
   for (int k = 0; k < stages_; ++k) {
-    impulse_.noalias() = nodes_[k].F * lambda_.col(k);
+    impulse_at(k, false);
     for (const Joint& joint : tree_->joints) {
       if (joint.type != JointType::kSpherical) continue;
       const Vec3 own = impulse_.segment<3>(joint.iv);
@@ -295,7 +311,7 @@ void StageConstraints::move_rows(double* x, int S, VecRef moved) {
     for (int i = 0; i < stages_; ++i)
       for (int r = 0; r < held; ++r)
         if (phase_->by_rate(r))
-          moved[impulse_at(i, fixed_ + r)] = h_ * rates.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
+          moved[unknown_at(i, fixed_ + r)] = h_ * rates.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
   to_stages(true, S, x);
   displaced_.noalias() = rates.topRows(stages_).transpose() * to_nodes_;
   for (int k = 1; k <= stages_; ++k) {
@@ -305,7 +321,7 @@ void StageConstraints::move_rows(double* x, int S, VecRef moved) {
     }
     for (int r = 0; r < rows_; ++r)
       if (r < fixed_ || !phase_->by_rate(r - fixed_))
-        moved[impulse_at(k - 1, r)] = h_ * nodes_[k].chart_W.col(r).dot(displaced_.col(k - 1));
+        moved[unknown_at(k - 1, r)] = h_ * nodes_[k].chart_W.col(r).dot(displaced_.col(k - 1));
   }
   if (slides_ == 0 || stages_ == 1) return;
   displaced_.noalias() = rates.topRows(stages_).transpose() * at_nodes_;
@@ -445,13 +461,13 @@ void StageConstraints::add_to_residual(const Stages& stages) {
   const int S = stages.padded(), held = rows_ - fixed_;
   for (int k = 1; k <= stages_; ++k)
     for (int r = 0; r < rows_; ++r)
-      if (r < fixed_ || !phase_->by_rate(r - fixed_)) residual_[impulse_at(k - 1, r)] += nodes_[k].phi[r];
+      if (r < fixed_ || !phase_->by_rate(r - fixed_)) residual_[unknown_at(k - 1, r)] += nodes_[k].phi[r];
   if (rolling_ > 0) {
     const Eigen::Map<const MatX> v(stages.v(), S, tree_->nv);
     for (int i = 0; i < stages_; ++i)
       for (int r = 0; r < held; ++r)
         if (phase_->by_rate(r))
-          residual_[impulse_at(i, fixed_ + r)] = h_ * v.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
+          residual_[unknown_at(i, fixed_ + r)] = h_ * v.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
   }
   for (int k = 1; k < stages_; ++k)
     for (int j = 0; j < slides_; ++j) {
@@ -465,6 +481,7 @@ void StageConstraints::add_to_residual(const Stages& stages) {
 
 void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTerms& stiff, bool factor) {
   const int S = stages.padded(), nv = tree_->nv, count = unknowns();
+  if (count == 0) return;  // there are constant forces alone
   const std::size_t size = static_cast<std::size_t>(nv) * S;
   set_charts(stages);
   // Which impulses are least depends on the directions of the slips.
@@ -503,6 +520,7 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
   add_impulses();
   if (slides_ == 0 || stages_ == 1) return;
   equations.finish(q1_, p1_);
+  if (load_ != nullptr) p1_ += h_ * table_->e[stages_] * *load_;
   equations.place_node(nodes_[stages_].q);
   knows_end_ = close_slides(equations, p1_);
 }
@@ -650,7 +668,15 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
   for (int d = 0; d < tree_->nv; ++d) end.X[d] = stages.sum(stages.rate(), d);
   place(end, stages_);
   equations.place_node(q1);
-  if (slides_ == 0) {
+  load_work_ = 0.0;
+  if (load_ != nullptr) {
+    p1 += h_ * table_->e[stages_] * *load_;
+    for (int d = 0; d < tree_->nv; ++d) load_work_ += (*load_)[d] * stages.sum(stages.v(), d);
+  }
+  if (rows_ == 0) {
+    v1_ = p1;
+    equations.solve_mass(v1_);
+  } else if (slides_ == 0) {
     close_rates(equations, reduction_, end.W, end.rate, p1, v1_, lambda_.col(stages_));
   } else if (!close_slides(equations, p1)) {
     return false;

@@ -41,7 +41,7 @@ class StageConstraints {
   // From the next step on these rows are kept as well; null: none.
   void hold(PhaseRows* rows);
   // Whether there is anything to keep.
-  bool any() const { return rows_ > 0; }
+  bool any() const { return rows_ > 0 || load_ != nullptr; }
 
   // The step of length h from (q0, p0), which begins at t0 [s]; equations: whose node is placed where it is needed.
   void begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h);
@@ -67,12 +67,14 @@ class StageConstraints {
   // much of this is done before the stages, in the mean [J].
   auto impulses() const { return sum_.head(fixed_); }
   double work() const { return work_; }
-  double mean_work() const { return mean_work_; }
+  double mean_work() const { return mean_work_ + 0.5 * load_work_; }
   // Of the rows of the phase: their impulses (count, s + 1) at the nodes; per sliding contact and node, (slides, s + 1),
   // the direction of its slip as an angle from the first tangent, and the slip along it [m/s].
   auto phase_impulses() const { return lambda_.bottomRows(rows_ - fixed_); }
   const MatX& slip_angles() const { return angles_; }
   const MatX& slips() const { return slips_; }
+  // Work of the constant forces [J].
+  double load_work() const { return load_work_; }
   const LobattoTable& table() const { return *table_; }
   // Whether rows share a load, so that their impulses are not the only ones that keep them.
   bool shares_load() const { return redundant_; }
@@ -100,7 +102,7 @@ class StageConstraints {
   };
   // An unknown of the stage equations: the impulse of a row at a node, or the direction of a slip there.
   int unknowns() const { return rows_ * stages_ + slides_ * (stages_ - 1); }
-  int impulse_at(int node, int row) const { return node * rows_ + row; }
+  int unknown_at(int node, int row) const { return node * rows_ + row; }
   int direction_at(int node, int slide) const { return rows_ * stages_ + (node - 1) * slides_ + slide; }
   int node_of(int unknown) const;
   void resize();
@@ -111,6 +113,7 @@ class StageConstraints {
   bool find_slips();
   bool turned(int node, int slide) const { return turned_[static_cast<std::size_t>(node * slides_ + slide)] != 0; }
   void add_impulses();
+  void impulse_at(int node, bool chart);
   void make_matrix(Stages& stages, StiffTerms& stiff);
   void scale_matrix(int S);
   void factor_matrix();
@@ -124,6 +127,7 @@ class StageConstraints {
 
   const Tree* tree_;
   PhaseRows* phase_ = nullptr;
+  const VecX* load_ = nullptr;
   const LobattoTable* table_;
   int fixed_, rows_, stages_;    // rows of the constraints, of all, of the stages
   int slides_ = 0, rolling_ = 0;  // sliding contacts, rows of velocities
@@ -156,7 +160,7 @@ class StageConstraints {
   Eigen::CompleteOrthogonalDecomposition<MatX> factor_;
   Reduction reduction_;
   VecX forces_, sum_, v1_, q1_, p1_;
-  double work_ = 0.0, mean_work_ = 0.0;
+  double work_ = 0.0, mean_work_ = 0.0, load_work_ = 0.0;
   double rounding_ = 0.0;
   int violated_ = -1;
 };
