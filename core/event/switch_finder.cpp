@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 
 #include "base/tolerances.hpp"
 
@@ -136,6 +134,13 @@ Search SwitchFinder::first(const Sample& a, const Sample& b, double width) {
   return found != Search::kNone ? found : first(m, b, width);
 }
 
+// A function that is below zero from the start on.
+Search SwitchFinder::begins_below(int function) {
+  which_ = function;
+  alpha_ = 0.0;
+  return Search::kFound;
+}
+
 // Locates the first one of the functions that cross zero between a and b.
 Search SwitchFinder::cross(const Sample& a, const Sample& b) {
   int function = -1;
@@ -143,18 +148,16 @@ Search SwitchFinder::cross(const Sample& a, const Sample& b) {
   for (Eigen::Index k = 0; k < b.values.size(); ++k) {
     const int number = static_cast<int>(k);
     if (is_armed(number) ? b.values[k] > 0.0 : b.values[k] >= -kZero) continue;
-    if (start_[k] <= kZero) {
-      // It has begun at zero: whether it has left that is not for the polynomial to say.
+    if (start_[k] <= kZero && functions_->may_stay_zero(number)) {
+      // Whether it has left zero is not for the polynomial to say.
       if (!exact(b.at, values_)) return Search::kNewtonFailed;
       if (values_[k] >= -kZero) {
         armed_[static_cast<std::size_t>(k)] = 0;
         continue;
       }
-      if (a.at <= 0.0) {  // it is below zero from the start on
-        which_ = number;
-        alpha_ = 0.0;
-        return Search::kFound;
-      }
+      if (a.at <= 0.0) return begins_below(number);
+    } else if (!is_armed(number)) {
+      return begins_below(number);
     }
     const double drop = a.values[k] - b.values[k];
     const double at = drop > 0.0 ? a.at + (b.at - a.at) * std::clamp(a.values[k] / drop, 0.0, 1.0) : b.at;
@@ -185,7 +188,6 @@ Search SwitchFinder::locate(int function, double lo, double hi, double root, dou
         value = values[other];
         before = -1.0;
       }
-    if (std::getenv("CVSW")) std::fprintf(stderr, "locate f %d x %.12g value %g lo %g hi %g slope %g\n", function, x, value, lo, hi, slope);
     which_ = function;
     alpha_ = x;
     const bool stays = before >= 0.0 && std::abs(value) >= 0.25 * std::abs(value_before);

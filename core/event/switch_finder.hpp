@@ -21,6 +21,8 @@ class SwitchFunctions {
   // Their values at a state of the step, (count,), after the part `at` of it: positive where the branches hold. In units
   // of the sizes of their terms, so that rounding is some 1e-16.
   virtual void evaluate(double at, const VecX& q, const VecX& v, VecRef values) = 0;
+  // Whether a function may be zero for a while and its branch hold: it ends where the function is negative.
+  virtual bool may_stay_zero(int) const { return false; }
 };
 
 // The functions of two kinds, one after the other.
@@ -31,6 +33,9 @@ class JoinedSwitches final : public SwitchFunctions {
   void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override {
     if (first_->count() > 0) first_->evaluate(at, q, v, values.head(first_->count()));
     if (second_->count() > 0) second_->evaluate(at, q, v, values.tail(second_->count()));
+  }
+  bool may_stay_zero(int k) const override {
+    return k < first_->count() ? first_->may_stay_zero(k) : second_->may_stay_zero(k - first_->count());
   }
 
  private:
@@ -62,6 +67,7 @@ class SwitchFinder {
   Sample on_path(double at);
   bool exact(double at, VecX& values);
   Search cross(const Sample& a, const Sample& b);
+  Search begins_below(int function);
   Search first(const Sample& a, const Sample& b, double width);
   Search locate(int function, double lo, double hi, double root, double slope);
   bool is_armed(int k) const { return armed_[static_cast<std::size_t>(k)] != 0; }

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <cstdio>
-#include <cstdlib>
+
+#include "run/contact_set.hpp"
 
 namespace contactvi {
 
@@ -270,8 +270,7 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
   }
 }
 
-void ContactModes::begin_slip(std::size_t first) {
-  if (std::getenv("CVDBG")) std::fprintf(stderr, "begin_slip %zu shares %d margin %g\n", first, (int)shares_, stick_margin(first));
+void ContactModes::begin_slip(std::size_t first, double time, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
@@ -282,12 +281,12 @@ void ContactModes::begin_slip(std::size_t first) {
     const Vec3& t1 = step_->force_tangent(i);
     c.heading = -(f[0] * t1 + f[1] * step_->force_contact(i).normal.cross(t1)).normalized();
     c.sticks = c.anchored = false;
-    if (std::getenv("CVDBG")) std::fprintf(stderr, "slip f %g %g %g a %g %g %g heading %g %g %g scale %g\n", forces_.f[r], forces_.f[r+1], forces_.f[r+2], forces_.a[r], forces_.a[r+1], forces_.a[r+2], c.heading[0], c.heading[1], c.heading[2], forces_.scale);
+    record_change(time, c.point, Change::kSlip, 0.0, recording);
   }
   step_->leave();
 }
 
-void ContactModes::come_to_rest(std::size_t first, const VecX& v) {
+void ContactModes::come_to_rest(std::size_t first, const VecX& v, double time, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
   const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
   for (std::size_t i = 0; i < contacts.size(); ++i) {
@@ -296,6 +295,7 @@ void ContactModes::come_to_rest(std::size_t first, const VecX& v) {
     c.sticks = true;
     c.anchored = false;
     c.slip.setZero();
+    record_change(time, c.point, Change::kStick, 0.0, recording);
   }
   step_->invalidate();
 }

@@ -36,6 +36,7 @@ class ContactModes final : public SwitchFunctions {
 
   int count() const override { return active_ && watches_ ? static_cast<int>(endings_.size()) : 0; }
   void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;
+  bool may_stay_zero(int) const override { return true; }
 
   enum class End { kRelease, kSlip, kStick, kJointSlips, kJointSticks };
   struct Ending {
@@ -43,10 +44,10 @@ class ContactModes final : public SwitchFunctions {
     End end;
   };
   const Ending& ending(int function) const { return endings_[static_cast<std::size_t>(function)]; }
-  // Contact i begins to slip, or comes to rest, at the state where evaluate() was called last; with it all others that
-  // are as far.
-  void begin_slip(std::size_t i);
-  void come_to_rest(std::size_t i, const VecX& v);
+  // Contact i begins to slip, or comes to rest, at the state where evaluate() was called last, at this time [s]; with it
+  // all others that are as far.
+  void begin_slip(std::size_t i, double time, Recording& recording);
+  void come_to_rest(std::size_t i, const VecX& v, double time, Recording& recording);
   void begin_joint_slip(std::size_t k);
 
   // The step, or the part of it that was solved last, is taken: its forces are recorded, and the contacts are where it

@@ -6,8 +6,6 @@
 #include <cmath>
 
 #include "run/simulator.hpp"
-#include <cstdio>
-#include <cstdlib>
 
 namespace contactvi {
 
@@ -28,7 +26,6 @@ bool Simulator::may_hold_contacts(double time) const {
 }
 
 bool Simulator::leave_to_contact_steps(double time) {
-  if (std::getenv("CVDBG")) std::fprintf(stderr, "leave t=%.9f why=%s\n", time, integrator_.why());
   modes_.end_step();
   integrator_.forget();
   contact_step_.invalidate();
@@ -40,8 +37,7 @@ bool Simulator::leave_to_contact_steps(double time) {
 }
 
 // A smooth step of length h with persistent contacts was not taken.
-bool Simulator::shorten_held_step(double h, double time, int line) {
-  if (std::getenv("CVDBG")) std::fprintf(stderr, "shorten t=%.9f h=%g why=%s at %d\n", time, h, integrator_.why(), line);
+bool Simulator::shorten_held_step(double h, double time) {
   if (user_function_failed(time)) return false;
   if (h <= kNearContactStep * contact_dt()) return leave_to_contact_steps(time);
   modes_.end_step();
@@ -53,9 +49,6 @@ bool Simulator::shorten_held_step(double h, double time, int line) {
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.
 void Simulator::change_contact(int function, double time, const VecX& v, bool moved, Recording& recording) {
   const ContactModes::Ending ending = modes_.ending(function);
-  if (std::getenv("CVDBG")) std::fprintf(stderr, "change t=%.12f contact %zu end %d moved %d\n", time, ending.contact, (int)ending.end, (int)moved);
-  const bool of_joint = ending.end == ContactModes::End::kJointSlips || ending.end == ContactModes::End::kJointSticks;
-  const ContactPoint point = of_joint ? ContactPoint() : contact_step_.contacts()[ending.contact].point;
   switch (ending.end) {
     case ContactModes::End::kJointSlips:
       modes_.begin_joint_slip(ending.contact);
@@ -69,12 +62,10 @@ void Simulator::change_contact(int function, double time, const VecX& v, bool mo
       if (!moved) finder_.cut();
       break;
     case ContactModes::End::kSlip:
-      record_change(time, point, Change::kSlip, 0.0, recording);
-      modes_.begin_slip(ending.contact);
+      modes_.begin_slip(ending.contact, time, recording);
       break;
     case ContactModes::End::kStick:
-      record_change(time, point, Change::kStick, 0.0, recording);
-      modes_.come_to_rest(ending.contact, v);
+      modes_.come_to_rest(ending.contact, v, time, recording);
       break;
   }
 }

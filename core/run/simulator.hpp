@@ -227,7 +227,7 @@ class Simulator {
   bool has_phase() const;
   bool may_hold_contacts(double time) const;
   bool leave_to_contact_steps(double time);
-  bool shorten_held_step(double h, double time, int line = __builtin_LINE());
+  bool shorten_held_step(double h, double time);
   void change_contact(int function, double time, const VecX& v, bool moved, Recording& recording);
 
   // contact_phase.cpp: steps in persistent contact.

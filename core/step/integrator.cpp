@@ -6,8 +6,6 @@
 #include <utility>
 
 #include "step/energy.hpp"
-#include <cstdio>
-#include <cstdlib>
 #include "step/guide.hpp"
 
 namespace contactvi {
@@ -78,7 +76,6 @@ bool Integrator::solve_stages() {
     iterate_stages(flags);
     if (keeps_rows_) constraints_->correct(*this, stages_, stiff_, (flags & kLaneFactor) != 0);
     judge_iteration();
-    if (std::getenv("CVIT")) std::fprintf(stderr, "  it %d err %.3e theta %.3g newton %d\n", stage_iterations_, iteration_.error(), iteration_.contraction(), (int)iteration_.newton());
     if (exceeds_truncation()) return false;
     if (iteration_.accelerates()) accelerate();
   }

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <limits>
 
 #include "model/constraint_check.hpp"
@@ -613,7 +611,6 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
     const MatX scaled = row.asDiagonal() * A * col.asDiagonal();
     factor.compute(scaled);
     const VecX x = col.cwiseProduct(factor.solve(scaled * now - row.cwiseProduct(b)) - now);
-    if (std::getenv("CVEND")) { std::fprintf(stderr, "end it %d h %g: along %g lam %g b", k, h_, slips_(0, stages_), lambda_(fixed_, stages_)); for (Eigen::Index r = 0; r < n; ++r) std::fprintf(stderr, " %g", b[r]); std::fprintf(stderr, " x"); for (Eigen::Index r = 0; r < n; ++r) std::fprintf(stderr, " %g", x[r]);  std::fprintf(stderr, " A"); for (Eigen::Index r = 0; r < n*n; ++r) std::fprintf(stderr, " %g", A.data()[r]); std::fprintf(stderr, " rank %d\n", (int)factor.rank()); }
     if (!x.allFinite()) return false;
     lambda_.col(stages_) += x.head(m);
     double turned = 0.0;
@@ -633,7 +630,6 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
     slips_.col(stages_) = end.along.transpose() * v1_;
     return v1_.allFinite();
   }
-  if (std::getenv("CVDBG")) std::fprintf(stderr, "slides not closed\n");
   return false;
 }
 
@@ -655,7 +651,6 @@ bool StageConstraints::keeps_phase() const {
   const Node& end = nodes_[stages_];
   const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
   for (int r = fixed_; r < rows_; ++r) {
-    if (std::getenv("CVDBG")) std::fprintf(stderr, "row %d phi %g rate %g\n", r, end.phi[r], end.W.col(r).dot(v1_));
     if (!phase_->by_rate(r - fixed_) && !(std::abs(end.phi[r]) <= kHeld)) return false;
     if (!(std::abs(end.W.col(r).dot(v1_)) <= kHeldRate * speed)) return false;
   }
@@ -688,7 +683,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
     work_ += done;
     mean_work_ += (1.0 - table_->d[k]) * done;
   }
-  if (!keeps_phase()) { if (std::getenv("CVDBG")) std::fprintf(stderr, "phase not kept h=%g\n", h_); return false; }
+  if (!keeps_phase()) return false;
   if (fixed_ == 0) return true;
   const Elements& elements = tree_->elements;
   const auto end_rates = end.W.leftCols(fixed_).transpose();
@@ -699,7 +694,6 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
                                 1.0 + v1_.cwiseAbs().maxCoeff() + end.rate.cwiseAbs().maxCoeff(),
                                 0.0};
   violated_ = find_violated(elements, errors);
-  if (violated_ >= 0 && std::getenv("CVDBG")) std::fprintf(stderr, "violated %d end %g %g rate %g\n", violated_, errors.start.norm(), errors.end.norm(), errors.rates.norm());
   if (violated_ >= 0) return false;
   VecX mean = VecX::Zero(tree_->nv);  // velocity of the step
   for (int d = 0; d < tree_->nv; ++d) mean[d] = stages.sum(stages.v(), d) / h_;
