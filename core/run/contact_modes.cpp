@@ -307,58 +307,88 @@ void ContactModes::begin_joint_slip(std::size_t k) {
   step_->leave();
 }
 
-void ContactModes::commit(double time, long step, bool wanted, Recording& recording) {
+// The impulse of contact i in the step, as (n, t1, t2) and in the world, and the work of its friction [J].
+void ContactModes::sum_impulses(std::size_t i, Held& held) const {
   const StageConstraints& rows = *integrator_->constraints();
-  const LobattoTable& table = rows.table();
-  const auto impulses = rows.phase_impulses();
+  const PersistentContact& c = step_->contacts()[i];
+  const int r = rows_.row(i), j = rows_.slide(i);
+  held = Held();
+  for (int k = 0; k <= rows.table().s; ++k) {
+    Vec3 impulse(rows.phase_impulses()(r, k), 0.0, 0.0);
+    if (j >= 0) {
+      const double angle = rows.slip_angles()(j, k), friction = c.mu * impulse[0];
+      impulse.tail<2>() = -friction * Eigen::Vector2d(std::cos(angle), std::sin(angle));
+      held.work -= friction * rows.slips()(j, k);
+    } else if (c.mu > 0.0) {
+      impulse.tail<2>() = rows.phase_impulses().block(r + 1, k, 2, 1);
+    }
+    held.local += impulse;
+    held.world += rows_.site(k, i).world(impulse[0], impulse[1], impulse[2]);
+  }
+}
+
+// Where contacts share a load the least impulses that a step takes may pull; others that act like them do not.
+void ContactModes::share_impulses(const VecX& q1) {
+  const std::vector<PersistentContact>& contacts = step_->contacts();
+  const int s = integrator_->stages();
+  VecX all(0);
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const int rows = contacts[i].rows();
+    all.conservativeResize(all.size() + rows);
+    all.tail(rows) = held_[i].local.head(rows);
+    const int j = rows_.slide(i);
+    if (j < 0) continue;
+    const double angle = integrator_->constraints()->slip_angles()(j, s);
+    directions_[i] = rows_.site(s, i).world(0.0, std::cos(angle), std::sin(angle));
+  }
+  if (!step_->share_impulses(*integrator_, q1, directions_, all)) return;
+  Eigen::Index at = 0;
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const int rows = contacts[i].rows();
+    held_[i].local.setZero();
+    held_[i].local.head(rows) = all.segment(at, rows);
+    held_[i].world = rows_.site(s, i).world(held_[i].local[0], held_[i].local[1], held_[i].local[2]);
+    at += rows;
+  }
+}
+
+void ContactModes::commit(double time, long step, const VecX& q1, bool wanted, Recording& recording) {
+  const StageConstraints& rows = *integrator_->constraints();
   const double h = integrator_->length();
-  const int s = table.s;
+  const int s = rows.table().s;
   std::vector<PersistentContact>& contacts = step_->contacts();
+  held_.resize(contacts.size());
+  directions_.resize(contacts.size());
+  for (std::size_t i = 0; i < contacts.size(); ++i) sum_impulses(i, held_[i]);
+  if (rows.shares_load() && wanted) share_impulses(q1);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
-    const int r = rows_.row(i), j = rows_.slide(i);
-    Vec3 first = Vec3::Zero(), last = Vec3::Zero(), first_W = first, last_W = first;
-    double work = 0.0;
-    for (int k = 0; k <= s; ++k) {
-      Vec3 impulse(impulses(r, k), 0.0, 0.0);
-      if (j >= 0) {
-        const double angle = rows.slip_angles()(j, k), friction = c.mu * impulse[0];
-        impulse.tail<2>() = -friction * Eigen::Vector2d(std::cos(angle), std::sin(angle));
-        work -= friction * rows.slips()(j, k);
-      } else if (c.mu > 0.0) {
-        impulse.tail<2>() = impulses.block(r + 1, k, 2, 1);
-      }
-      const Vec3 world = rows_.site(k, i).world(impulse[0], impulse[1], impulse[2]);
-      first += (1.0 - table.d[k]) * impulse;
-      last += table.d[k] * impulse;
-      first_W += (1.0 - table.d[k]) * world;
-      last_W += table.d[k] * world;
-    }
+    const int j = rows_.slide(i);
     const PersistentRows::Site& end = rows_.site(s, i);
-    c.force = (first + last) / h;
+    c.force = held_[i].local / h;
     if (c.mu > 0.0 && c.point.kind != PointKind::kVertex) c.tangent = end.t1;
     c.slip.setZero();
     if (j >= 0) {
       const double angle = rows.slip_angles()(j, s);
-      c.slip = rows.slips()(j, s) * end.world(0.0, std::cos(angle), std::sin(angle));
       c.heading = end.world(0.0, std::cos(angle), std::sin(angle));
+      c.slip = rows.slips()(j, s) * c.heading;
     } else if (c.point.material && c.mu > 0.0 && !c.anchored) {
       c.anchor = rows_.reference(i);
       c.anchored = true;
     }
     if (!wanted) continue;
+    const Vec3 zero = Vec3::Zero();
     if (!scene_->is_pair(c.point.guard)) {
-      const Vec3 zero = Vec3::Zero();
-      recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, step, zero, zero, first, last,
-                              end.contact.gap, zero);
+      recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, step, zero, zero,
+                              0.5 * held_[i].local, 0.5 * held_[i].local, end.contact.gap, zero);
       continue;
     }
     const ContactMode mode = c.mu == 0.0 ? ContactMode::kFrictionless
                              : j >= 0    ? ContactMode::kSlips
                                          : ContactMode::kSticks;
     recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, step,
-                            0.5 * (end.contact.point_a + end.contact.point_b), end.contact.normal, first_W, last_W,
-                            end.contact.gap, c.slip, work);
+                            0.5 * (end.contact.point_a + end.contact.point_b), end.contact.normal,
+                            0.5 * held_[i].world, 0.5 * held_[i].world, end.contact.gap, c.slip, held_[i].work);
   }
   step_->leave();
   step_->follow(rows.end_velocity());

@@ -50,11 +50,17 @@ class ContactModes final : public SwitchFunctions {
   void come_to_rest(std::size_t i, const VecX& v, double time, Recording& recording);
   void begin_joint_slip(std::size_t k);
 
-  // The step, or the part of it that was solved last, is taken: its forces are recorded, and the contacts are where it
-  // ends, at (q1, v1). rows: whether forces are wanted in the record.
-  void commit(double time, long step, bool rows, Recording& recording);
+  // The step, or the part of it that was solved last, is taken: its forces are recorded, half of each impulse at either
+  // end, and the contacts are where it ends, at q1. wanted: whether forces are wanted in the record.
+  void commit(double time, long step, const VecX& q1, bool wanted, Recording& recording);
 
  private:
+  struct Held {
+    Vec3 local = Vec3::Zero(), world = Vec3::Zero();
+    double work = 0.0;
+  };
+  void sum_impulses(std::size_t i, Held& held) const;
+  void share_impulses(const VecX& q1);
   bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau);
   bool is_paradox(std::size_t i) const;
   Vec3 direction(double at, std::size_t i) const;
@@ -76,6 +82,7 @@ class ContactModes final : public SwitchFunctions {
   std::vector<std::vector<Vec3>> headings_;  // per node of the whole step, and contact
   std::vector<Vec3> directions_;
   ContactStep::Forces forces_;
+  std::vector<Held> held_;  // per contact, of the step
 };
 
 }  // namespace contactvi

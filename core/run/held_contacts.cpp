@@ -25,6 +25,8 @@ bool Simulator::may_hold_contacts(double time) const {
   return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }
 
+bool Simulator::is_near_contact_step(double h) const { return h <= kNearContactStep * contact_dt(); }
+
 bool Simulator::leave_to_contact_steps(double time) {
   modes_.end_step();
   integrator_.forget();
@@ -39,7 +41,7 @@ bool Simulator::leave_to_contact_steps(double time) {
 // A smooth step of length h with persistent contacts was not taken.
 bool Simulator::shorten_held_step(double h, double time) {
   if (user_function_failed(time)) return false;
-  if (h <= kNearContactStep * contact_dt()) return leave_to_contact_steps(time);
+  if (is_near_contact_step(h)) return leave_to_contact_steps(time);
   modes_.end_step();
   integrator_.forget();
   state_.control.halve_free(h);

@@ -371,8 +371,10 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
       return leave_to_contact_steps(at);
     integrator_.set_time(at);
   }
-  if (!solve_smooth_step(at, h, interval.tau, last_try)) {
-    if (truncation_.too_long || last_try || scene_->tree.elements.user_failed()) return false;
+  // A run that chooses its steps learns from one that is too long to be solved.
+  const bool learns = last_try || (truncation_.bound > 0.0 && !is_near_contact_step(h));
+  if (!solve_smooth_step(at, h, interval.tau, learns)) {
+    if (truncation_.too_long || learns || scene_->tree.elements.user_failed()) return false;
     if (holds) return shorten_held_step(h, at);
     control.halve_free(h);
     return true;
@@ -437,7 +439,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (found != Search::kNone) return end_failed_search(found, at);
   if (holds) {
     if (sinks_deeper(recording, at + h)) return shorten_held_step(h, at);
-    modes_.commit(at, state_.step, options_.record_contacts, recording);
+    modes_.commit(at, state_.step, q1_, options_.record_contacts, recording);
   }
   state_.work.add(work);
   control.flew(options_.dt);
@@ -483,7 +485,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const double at = interval.start + interval.done, before = event.alpha * h;
   const bool holds = modes_.active();
   if (before > 0.0) {
-    if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
+    if (holds) modes_.commit(at, state_.step, event.q, options_.record_contacts, recording);
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);

@@ -226,6 +226,7 @@ class Simulator {
   // held_contacts.cpp: persistent contacts in smooth steps.
   bool has_phase() const;
   bool may_hold_contacts(double time) const;
+  bool is_near_contact_step(double h) const;
   bool leave_to_contact_steps(double time);
   bool shorten_held_step(double h, double time);
   void change_contact(int function, double time, const VecX& v, bool moved, Recording& recording);
