@@ -157,6 +157,7 @@ class ContactStep final : public Stepper {
   // Of its rows: the first one of a contact, their Delassus matrix, and tangents of contact i.
   int row(std::size_t i) const { return row_[i]; }
   const MatX& force_matrix() const { return G_end_; }
+  double force_normal_speed(std::size_t i) const { return w_end_[row_[i]]; }
   auto force_slip(std::size_t i) const { return w_end_.segment<2>(row_[i] + 1); }
   const Vec3& force_tangent(std::size_t i) const { return node1_.t1[i]; }
   const Contact& force_contact(std::size_t i) const { return node1_.at[i]; }

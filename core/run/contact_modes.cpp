@@ -9,7 +9,8 @@
 namespace contactvi {
 
 namespace {
-constexpr double kStill = 1e-11;  // of the speeds: slip below it is rest
+constexpr double kStill = 1e-11;   // of the speeds: slip below it is rest
+constexpr double kClosed = 1e-10;  // of the speeds: a contact whose normal speed is larger is not held
 // Of the largest acceleration: one that begins a slip. Where contacts share a load the forces agree to 1e-7.
 constexpr double kBegins = 1e-7;
 // Switch functions are known to rounding of 1e-12 by their finder; continuous forces to this times as much.
@@ -69,6 +70,9 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
     }
   }
   if (!step_->forces_at(*integrator_, q, v, t, tau, directions_, forces_)) return false;
+  // One that separates slowly is left to contact steps, which know whether it stays: here it would be pulled back.
+  for (std::size_t i = 0; i < contacts.size(); ++i)
+    if (std::abs(step_->force_normal_speed(i)) > kClosed * (1.0 + v.cwiseAbs().maxCoeff())) return false;
   const double begins = kBegins * forces_.largest;
   for (std::size_t k = 0; k < step_->friction_joints().size(); ++k) {
     FrictionJoint& joint = step_->friction_joints()[k];
