@@ -95,9 +95,9 @@ class Built:
     def needs_fixed_step(self) -> str | None:
         """What of the scene needs steps of one length, in words; None where nothing does."""
         found, arrays = self.elements, self.arrays
+        moving = any(goal.constant is None for goal in arrays.targets.values())
         reasons = {
-            "joint friction": bool(np.any(arrays.joint_friction)),
-            "servos": bool(np.any(arrays.servo[:2])),
+            "servos whose targets move": moving and bool(np.any(arrays.servo[:2])),
             "forces given in Python": bool(found.forces),
         }
         return next((what for what, is_there in reasons.items() if is_there), None)

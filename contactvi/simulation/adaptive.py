@@ -40,6 +40,7 @@ from contactvi.simulation.auto_contact import COMPANION, LEAST, LOST, SHORTEST, 
 from contactvi.simulation.auto_runs import AutoRun, largest
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.recorder import Record
+from contactvi.simulation.targets import Targets
 from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene
@@ -197,13 +198,14 @@ class _Search:
         slack = max(slack, STAGE_TOLS[0] / self._options.stage_tol)
         simulator = self._started(engine.reuse(self._compiled, self._options, slack, dt_contact), self._options)
         if coarser is None:
-            found = engine.run_auto(simulator, self._options.span, level, self._progress)
+            found = engine.run_auto(simulator, self._options.span, level, self._progress, target=self._target())
         else:
             part = (level / coarser.level) ** (1.0 / self._stages)
             sample = (self._options.sample_dt or 0.0) if sample is None else sample
             found = engine.run_auto(
-                simulator, self._options.span, coarser.level, self._progress, coarser.run, part, sample, self._runs
-            )
+                simulator, self._options.span, coarser.level, self._progress, coarser.run, part, sample, self._runs,
+                self._target(),
+            )  # fmt: skip
         run = self._took(AutoRun(level, dt_contact, slack * self._options.stage_tol, *found, simulator))
         if len(self._engines) < _SAME and run.ok:
             self._engines.append((simulator, slack, dt_contact))
@@ -219,6 +221,11 @@ class _Search:
             assert error is not None
             raise error
         return simulator
+
+    def _target(self) -> Array | None:
+        """Return the references of the servos, which are constant; None without servos."""
+        assert self._start is not None
+        return Targets(self._compiled, self._start[0]).rows(None, np.zeros(1))
 
     def _took(self, run: AutoRun) -> AutoRun:
         """Count what a run took."""

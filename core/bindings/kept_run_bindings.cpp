@@ -60,15 +60,17 @@ Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress,
 }
 
 Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
-                 const Own* coarser, double part, double sample, int after_impact) {
+                 const Own* coarser, double part, double sample, int after_impact, const std::optional<MatX>& target) {
   if (!(duration > 0.0) || !(level > 0.0) || !(part > 0.0)) throw Error("duration, level and part must be > 0");
   if (!(sample >= 0.0) || after_impact < 1) throw Error("sample must be >= 0, after_impact >= 1");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
+  const Eigen::Index numbers = 2 * sim.scene().tree.nv;
+  if (target && (target->rows() != 1 || target->cols() != numbers)) throw Error("target has the wrong shape");
   std::optional<StepPlan> plan;
   if (coarser != nullptr && !coarser->run.recording.adaptive_t.empty())
     plan.emplace(StepPlan{coarser->run.recording, part, coarser->planned});
   return keep(sim, progress, coarser, plan.has_value(), [&](const Progress& callback, Recording& recording) {
-    return sim.run_auto(duration, {level, plan ? &*plan : nullptr, sample, after_impact}, callback, recording);
+    return sim.run_auto(duration, {level, plan ? &*plan : nullptr, sample, after_impact, target.value_or(MatX())}, callback, recording);
   });
 }
 
@@ -129,11 +131,11 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       .def("results", &results, "Hand over what Simulator.advance returns, without \"error\"; the run is empty then.");
   simulator.def(
       "run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
-      "part"_a = 1.0, "sample"_a = 0.0, "after_impact"_a = 1,
+      "part"_a = 1.0, "sample"_a = 0.0, "after_impact"_a = 1, "target"_a = nb::none(),
       "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
       " coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are"
       " nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end"
-      " of its step. Return (KeptRun, error of a callback or None).");
+      " of its step. target: references of servos, (1, 2 nv). Return (KeptRun, error of a callback or None).");
 }
 
 }  // namespace contactvi

@@ -2,10 +2,11 @@
 // between the begin and the end of persistent contact.
 //
 // The long-time behaviour of a variational integrator rests on a constant step. The step therefore grows only at
-// impacts and where contacts change, which breaks the smooth motion anyway. Where it turns out to be too long it becomes
-// shorter, and stays so up to the next one. A step that is too long is mostly seen to be so before it is solved, and given up; where there
-// was an impact in it, or where it cannot be solved, at least half of the steps before it stay. While contacts persist
-// the steps are as long as contact steps may be, and the length of the smooth ones is kept for the flight that follows.
+// impacts and where contacts change, which break the smooth motion anyway. Where it turns out to be too long it becomes
+// shorter, and stays so up to the next one. A step that is too long is mostly seen to be so before it is solved, and
+// given up; where there was an impact in it, or where it cannot be solved, at least half of the steps before it stay.
+// Contact steps of order 2, where persistent contacts are left to them, have a length of their own, and that of the
+// smooth ones is kept for the flight that follows.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -94,6 +95,7 @@ bool Simulator::takes_contact_steps() const {
 // turns out to be too long or that of the plan changes; or to the end of the run.
 bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& steps, Recording& recording) {
   const VecX no_force;
+  const bool has_servos = scene_->tree.elements.servo_kp.size() > 0;
   const double s = options_.stages, began = state_.time, level = steps.level;
   const bool persistent = takes_contact_steps();
   if (steps.plan != nullptr) end = take_plan(*steps.plan, end, persistent);
@@ -137,7 +139,8 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
     truncation_.too_long = false;
     const DensePhase dense = state_.dense;
     const double step_start = section.begin + in_section * h;
-    const bool made = advance_interval(step_start, h, no_force, recording), solved = made || truncation_.too_long;
+    if (has_servos) actuation_.set(no_force, steps.target, 0, state_.q, state_.p);
+    const bool made = advance_interval(step_start, h, has_servos ? actuation_.force() : no_force, recording), solved = made || truncation_.too_long;
     truncation_.limited = false;
     const StatusCode code = state_.status.code;
     const bool retry = code == StatusCode::kNewtonFailed || code == StatusCode::kEventUnresolved ||

@@ -13,8 +13,9 @@ void Simulator::count_saturated() {
 
 // The branches of the smooth step that comes next, and v_ at its start.
 bool Simulator::begin_branches(const Interval& interval) {
-  // Steps of run_auto have no inputs, and no limits are applied in advance.
-  const bool known = !actuation_.limited_dofs().empty() && truncation_.bound == 0.0 && !interval.keeps_branches;
+  // Steps of run_auto have no inputs, and without servos no limits are applied in advance.
+  const bool applied = truncation_.bound == 0.0 || scene_->tree.elements.servo_kp.size() > 0;
+  const bool known = !actuation_.limited_dofs().empty() && applied && !interval.keeps_branches;
   if (known) {
     v_ = actuation_.start_velocity();
   } else if (!integrator_.node_velocity(state_.q, state_.p, v_)) {

@@ -90,6 +90,22 @@ bool advance_state(Integrator& integrator, Guide& guide, double t, double h, Vec
   return false;
 }
 
+// The servos of a run, whose references are constant; none where actuators have limits, so that their branches matter.
+Servo servos_of(const Tree& tree, const KeptRun& run) {
+  const Elements& e = tree.elements;
+  Servo servo;
+  const Servo& used = run.state.actuators.servo;
+  if (e.servo_kp.size() == 0 || used.q_ref.size() == 0) return servo;
+  servo = {true, e.servo_kp, e.servo_kd, used.q_ref, used.v_ref, VecX::Zero(tree.nv), {}};
+  return servo;
+}
+
+// Whether steps are known whole only, by their polynomials: the branches of actuators in them are not kept.
+bool has_branches(const Tree& tree) {
+  const Elements& e = tree.elements;
+  return e.servo_kp.size() > 0 && e.effort.size() + e.speed.size() > 0;
+}
+
 }  // namespace
 
 SegmentArrays arrays_of(const Segments& s) {
@@ -149,6 +165,8 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
       over_time ? nodes_over_time(t, both, times) : nodes_in_parts(t, both, times, paths);
   Guide guide(tree, arrays_of(other.recording.segments), impact_times(other.recording));
   Integrator integrator(tree, options.stages, options.tol, options.max_iterations, keeps_constraints(tree, options));
+  const Servo servo = servos_of(tree, other);
+  integrator.set_servo(&servo);
   VecX apart(static_cast<Eigen::Index>(nodes.size())), q(tree.nq), p(tree.nv);
   for (std::size_t k = 0; k < nodes.size(); ++k) {
     const double time = t[nodes[k]];
@@ -156,7 +174,7 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
     const double begin = paths.start(segment);
     q = paths.q(segment);
     p = paths.p(segment);
-    const bool solved = !paths.persistent(segment) && paths.step_to(time) > 0.0 &&
+    const bool solved = !has_branches(tree) && !paths.persistent(segment) && paths.step_to(time) > 0.0 &&
                         advance_state(integrator, guide, begin, time - begin, q, p);
     const bool known = solved || paths.state(time, integrator, q, p);  // from the polynomial
     apart[static_cast<Eigen::Index>(k)] =
@@ -197,7 +215,8 @@ double error_share(const KeptRun& companion, const KeptRun& found, int power, do
 
 double first_step_error(const Scene& scene, const SimulatorOptions& options, const KeptRun& run) {
   const Tree& tree = scene.tree;
-  if (!tree.has_damping && !tree.elements.any_force()) return 0.0;
+  const Servo servo = servos_of(tree, run);
+  if ((!tree.has_damping && !tree.elements.any_force() && !servo.any) || has_branches(tree)) return 0.0;
   const Segments& s = run.recording.segments;
   const std::vector<double> impacts = impact_times(run.recording);
   std::vector<std::size_t> starts{0};
@@ -211,6 +230,7 @@ double first_step_error(const Scene& scene, const SimulatorOptions& options, con
   SegmentPaths paths(tree, options.stages, arrays_of(s));
   Guide guide(tree, arrays_of(s), impacts);
   Integrator integrator(tree, options.stages, options.tol, kMostIterations, keeps_constraints(tree, options));
+  integrator.set_servo(&servo);
   VecX whole(tree.nq);
   double worst = 0.0;
   for (const std::size_t start : starts) {
