@@ -51,8 +51,25 @@ def test_targets_need_servos():
         cvi.simulate(scene, duration=0.01, dt=1e-3, target={"j2": 0.1})
     with pytest.raises(cvi.InputError, match="a time in seconds with target"):
         cvi.simulate(scene, duration=0.01, dt="auto", target=[0.1])
-    with pytest.raises(cvi.InputError, match="a scene with servos"):
+    scene.set_servo("j1", 1.0, 1.0, target=lambda t: (t, 1.0, 0.0))
+    with pytest.raises(cvi.InputError, match="servos whose targets move"):
         cvi.simulate(scene, duration=0.01, dt="auto")
+
+
+@pytest.mark.parametrize("limits", [{}, {"effort": 4.0}])
+def test_auto_with_servos(limits):
+    """Constant targets: the accuracy is met, against steps of one length; also where effort is at its limit."""
+    scene = servo_scene(gravity=True, kp=60.0, kd=2.0)
+    if limits:
+        scene.set_actuator("j*", **limits)
+    q0 = scene.configuration({"j1": -0.5, "j2": 0.3})
+    v0 = np.array([2.0, -1.0])
+    exact = cvi.simulate(scene, q0, v0, duration=1.0, dt=2e-3, order=8, tol=1e-14).q[-1]
+    for tol in (1e-4, 1e-8):
+        traj = cvi.simulate(scene, q0, v0, duration=1.0, dt="auto", tol=tol)
+        assert traj.error_estimate <= tol
+        assert np.abs(traj.q[-1] - exact).max() <= 3.0 * traj.error_estimate + 1e-12
+        assert len(traj.t) < 200
 
 
 # -- laws -------------------------------------------------------------------------------------------------------------
