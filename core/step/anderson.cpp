@@ -15,7 +15,7 @@ double AndersonAcceleration::dot(const AlignedArray& a, const AlignedArray& b) c
   return sum;
 }
 
-void AndersonAcceleration::push(const Stages& stages, bool energy_norm) {
+void AndersonAcceleration::push(const Stages& stages) {
   const std::size_t size = static_cast<std::size_t>(nv_) * S_;
   if (history_.empty())
     for (int k = 0; k <= kDepth; ++k) history_.push_back({AlignedArray(size), AlignedArray(size), AlignedArray(size)});
@@ -23,8 +23,7 @@ void AndersonAcceleration::push(const Stages& stages, bool energy_norm) {
   Iteration &now = history_[0], &last = history_[1];
   std::copy(stages.v(), stages.v() + size, now.v.data());
   std::copy(stages.dv(), stages.dv() + size, now.f.data());
-  const double* residual = energy_norm ? stages.residual() : stages.dv();
-  std::copy(residual, residual + size, now.r.data());
+  std::copy(stages.residual(), stages.residual() + size, now.r.data());
   if (count_ == 0) return;
   for (std::size_t i = 0; i < size; ++i) {
     last.v[i] = now.v[i] - last.v[i];
@@ -60,8 +59,8 @@ int AndersonAcceleration::weigh(int columns, double* gamma) const {
   return used;
 }
 
-void AndersonAcceleration::apply(Stages& stages, bool energy_norm) {
-  push(stages, energy_norm);
+void AndersonAcceleration::apply(Stages& stages) {
+  push(stages);
   double gamma[kDepth];
   const int used = weigh(count_, gamma);
   count_ = std::min(count_ + 1, kDepth);

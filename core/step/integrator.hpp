@@ -113,7 +113,7 @@ class Integrator final : public Stepper, public StepEquations {
   bool limits_truncation() const { return truncation_limit_ < std::numeric_limits<double>::infinity(); }
   bool exceeds_truncation();
   void judge_iteration();
-  void accelerate() { acceleration_.apply(stages_, !keeps_rows_); }
+  void accelerate() { acceleration_.apply(stages_); }
   bool start_by_ramp(const VecX& tau);
   bool turns_too_far();
 

@@ -23,7 +23,7 @@ class StageIteration {
   bool goes_on() const { return outcome_ == Outcome::kGoesOn; }
   int flags() const;  // of the next iteration (LaneFlags)
   // After an iteration, whose numbers are in stages. constrained: of a step with constraints, whose
-  // residuals have rounding of this energy [J]; the Newton matrix is not tried then.
+  // residuals have rounding of this energy [J]; neither the Newton matrix nor acceleration is tried then.
   void judge(const Stages& stages);
   void judge(const Stages& stages, double rounding);
   // As this, where there is one stage: its relative error, and its energy.
@@ -64,8 +64,6 @@ class StageIteration {
   static constexpr int kNewtonStages = 3;
   static constexpr double kVerySlow = 0.5;           // contraction from which on acceleration pays,
   static constexpr double kAccelerationError = 0.3;  // where the error is below this
-  // Contraction from which on it pays where there are constraints: their matrix knows nothing of their curvature.
-  static constexpr double kBends = 0.2;
   static constexpr double kFarEnergy = 30.0;  // growth of the energy over a solve: the solution found is not the motion
   void judge(double error, double energy, bool few_stages);
   Outcome outcome(double error, double energy);
@@ -127,9 +125,7 @@ inline void StageIteration::judge(double error, double energy, bool few_stages) 
   forgets_ = factor_ && accelerated_;  // its residuals belong to another matrix
   newton_ = newton_ || turn;
   factor_ = turn || (error > kRefactor && !accelerated_);
-  const bool bends = floor_ > 0.0 && count_ >= 1 && theta_ > kBends;
-  accelerates_ =
-      ((slow && theta_ > kVerySlow && !turn) || bends) && error < kAccelerationError ? true : accelerated_;
+  accelerates_ = (slow && theta_ > kVerySlow && !turn && error < kAccelerationError) || accelerated_;
   accelerated_ = accelerated_ || accelerates_;
   previous_ = error;
   ++count_;
