@@ -23,6 +23,10 @@ constexpr double kZeroRow = 1e-20;     // share of the largest diagonal below wh
 // [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
 constexpr double kFarTurn = 0.5;        // [rad] by which an iteration changes the direction of a slip at most
+// Of what friction answers to a turn of its direction, as a slip: where the slip is as far beyond its end the direction
+// is no longer found from it. At all of it the equation is singular.
+constexpr double kTurned = 0.5;
+constexpr int kMostTurns = 3;           // see find_slips
 constexpr int kEndIterations = 30;      // of Newton's method on the impulse at the end, where contacts slide
 // Of the speeds: what a change of direction moves that is rounding, and from which on rounding may keep it from becoming
 // less.
@@ -90,7 +94,8 @@ void StageConstraints::resize() {
   if (lambda_.rows() != rows_) lambda_.setZero(rows_, stages_ + 1);
   angles_.setZero(slides_, stages_ + 1);
   slips_.setZero(slides_, stages_ + 1);
-  turned_.assign(static_cast<std::size_t>(slides_ * (stages_ + 1)), 0);
+  answers_.setZero(slides_, stages_ + 1);
+  turns_.assign(static_cast<std::size_t>(slides_ * (stages_ + 1)), 0);
   if (rolling_ > 0) rolls_.assign(static_cast<std::size_t>(stages_), MatX(nv, rows_ - fixed_));
 }
 
@@ -152,7 +157,7 @@ void StageConstraints::begin(StepEquations& equations, const VecCRef& q0, const 
     lambda_.col(k) = h * table_->e[k] * forces_;
   }
   violated_ = -1;
-  std::fill(turned_.begin(), turned_.end(), 0);
+  std::fill(turns_.begin(), turns_.end(), 0);
   if (same && (slides_ == 0 || same_speed)) {
     for (int k = 1; k <= stages_; ++k) angles_.col(k) = angles_.col(0);
     return;
@@ -224,8 +229,8 @@ void StageConstraints::place_rates(const Stages& stages) {
   }
 }
 
-// The slips at the nodes inside of the step, of the path raised by the velocities at its ends. Whether one is found to
-// have turned back that had not before.
+// The slips at the nodes inside of the step, of the path raised by the velocities at its ends. Whether one of them is
+// found to have turned back that had not before, or the other way round.
 bool StageConstraints::find_slips() {
   path_.set(q0_, h_, stage_rates_);
   if (knows_end_) path_.raise(v0_, v1_);
@@ -235,9 +240,12 @@ bool StageConstraints::find_slips() {
     slips_.col(k) = nodes_[k].along.transpose() * v_node_;
     nodes_[k].slip_across = nodes_[k].across.transpose() * v_node_;
     for (int j = 0; j < slides_; ++j) {
-      char& back = turned_[static_cast<std::size_t>(k * slides_ + j)];
-      any = any || (back == 0 && slips_(j, k) < 0.0);
-      back = back != 0 || slips_(j, k) < 0.0 ? 1 : 0;
+      // The first iterations may show a slip that has turned back and has not; what is seen a second time stays.
+      int& seen = turns_[static_cast<std::size_t>(k * slides_ + j)];
+      const bool back = slips_(j, k) < kTurned * answers_(j, k);
+      if (back == (seen % 2 == 1) || seen >= kMostTurns) continue;
+      ++seen;
+      any = true;
     }
   }
   return any;
@@ -374,6 +382,7 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
   for (int k = 1; k < stages_; ++k)
     for (int j = 0; j < slides_; ++j) {
       const int at = direction_at(k, j);
+      answers_(j, k) = std::min(0.0, matrix_(at, at) / h_);
       if (turned(k, j)) {
         matrix_.row(at).setZero();
         matrix_(at, at) = h_;
@@ -549,6 +558,7 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
   MatX A(n, n);
   VecX b(n), column(X.cols());
   double before = std::numeric_limits<double>::infinity();
+  std::fill_n(turns_.end() - slides_, slides_, 0);
   for (int k = 0; k < kEndIterations; ++k) {
     const VecX all = weights(), w = to_W * all, u = to_T * all;
     // Each column of A is what an unknown makes of the rows' velocities.
@@ -580,11 +590,12 @@ bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
       column[m + 2 * j] = f * std::sin(a);
       column[m + 2 * j + 1] = -f * std::cos(a);
       rows_of(column, A.col(m + j));
+      answers_(j, stages_) = std::min(0.0, A(m + j, m + j));
       A(m + j, m + j) -= along;
       b[m + j] = std::cos(a) * u[2 * j + 1] - std::sin(a) * u[2 * j];
-      char& back = turned_[static_cast<std::size_t>(stages_ * slides_ + j)];
-      if (along < 0.0) back = 1;
-      if (back != 0) {
+      int& seen = turns_[static_cast<std::size_t>(stages_ * slides_ + j)];
+      if (along < kTurned * answers_(j, stages_)) seen = 1;
+      if (seen != 0) {
         A.row(m + j).setZero();
         A(m + j, m + j) = 1.0;
         b[m + j] = a - angles_(j, stages_ - 1);

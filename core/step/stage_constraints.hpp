@@ -111,7 +111,7 @@ class StageConstraints {
   void to_chart(const Node& node, const MatX& from, MatX& to) const;
   void place_rates(const Stages& stages);
   bool find_slips();
-  bool turned(int node, int slide) const { return turned_[static_cast<std::size_t>(node * slides_ + slide)] != 0; }
+  bool turned(int node, int slide) const { return turns_[static_cast<std::size_t>(node * slides_ + slide)] % 2 == 1; }
   void add_impulses();
   void impulse_at(int node, bool chart);
   void make_matrix(Stages& stages, StiffTerms& stiff);
@@ -136,9 +136,10 @@ class StageConstraints {
   std::vector<Node> nodes_;  // s + 1
   MatX lambda_;              // (m, s + 1)
   MatX angles_, slips_;      // (slides, s + 1)
-  // Per node and slide, whether the slip has turned back: it keeps the direction of the node before it, so that the
-  // equations stay smooth beyond the place where the slip ends.
-  std::vector<char> turned_;
+  MatX answers_;             // of the same shape: what friction answers across the slip to a turn of its direction, <= 0
+  // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps the
+  // direction of the node before it, so that the equations stay smooth beyond the place where the slip ends.
+  std::vector<int> turns_;
   MatX to_nodes_;            // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
   MatX at_nodes_;            // (s, s): rates at the stages -> those of their polynomial at the nodes after the first
   MatX displaced_;           // (nv, s)
