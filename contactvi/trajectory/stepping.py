@@ -18,7 +18,7 @@ from contactvi.trajectory.polynomials import CONTACT_STEP, Segments
 
 Array = NDArray[np.float64]
 
-_ALL = 1e-9  # of the time with contacts: less is no part of it
+_ALL = 1e-9  # of the time with contacts: what is shorter does not count
 
 
 class Run(Protocol):
@@ -97,7 +97,7 @@ def _contact_steps(
     phase = np.searchsorted(phases["t"], steps["t"] + 0.5 * steps["h"]) - 1
     of_order_2 = (steps["persistent"] == CONTACT_STEP) & (phase >= 0) & persistent[np.maximum(phase, 0)]
     stepped = np.zeros(len(persistent), dtype=bool)
-    stepped[phase[of_order_2]] = True
+    stepped[phase[of_order_2 & (steps["h"] > _ALL * spans.sum())]] = True
     return float(steps["h"][of_order_2].sum()), stepped
 
 
