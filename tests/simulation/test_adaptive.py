@@ -464,6 +464,36 @@ def test_contact_steps_stop_at_the_budget(dt_contact, part):
         assert "ask for them by dt_contact" in reason
 
 
+def rubbing() -> cvi.Scene:
+    """A double pendulum with joint friction, which the map MHC leaves to contact steps."""
+    scene = swinging()
+    scene.set_joint("j*", friction=0.3)
+    return scene
+
+
+def test_contact_steps_within_the_budget():
+    """A tol that would take far more steps: the best run within the budget, an honest estimate, and what to do."""
+    plain = cvi.simulate(rubbing(), duration=1.0, dt=1e-3, order=16, impact="mhc")
+    exact = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-11)
+    assert exact.stats.contact_steps == 0
+    with pytest.warns(cvi.AccuracyWarning, match=r"contact steps of .* s would reach it.*ask for them by dt_contact"):
+        traj = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-11, impact="mhc")
+    assert 0 < traj.stats.contact_iterations <= BUDGET * plain.stats.contact_iterations
+    found = error(traj, exact)
+    assert found / 3.0 <= traj.error_estimate <= 30.0 * found
+
+
+def test_shorter_contact_steps_where_they_are_asked_for():
+    with pytest.warns(cvi.AccuracyWarning):
+        coarse = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-9, impact="mhc")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cvi.AccuracyWarning)
+        fine = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-9, impact="mhc", dt_contact=1e-4)
+    assert fine.error_estimate <= 0.1 * coarse.error_estimate
+    exact = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-11)
+    assert error(fine, exact) / 3.0 <= fine.error_estimate
+
+
 def test_events_do_not_shorten_the_steps_after_them():
     """Twenty impacts in a second: a flight takes steps as long as before, not a part of them after each."""
     scene, q0 = falling_ball(0.9, 0.01)
