@@ -390,7 +390,11 @@ def test_limp_arm_falls_on_its_limits(restitution, order):
     assert 1 in traj.phases["persistent"]
     assert np.all(traj.phases["dt"] == 1e-3)
     assert traj.contacts.h.max() == pytest.approx(1e-3, rel=1e-9)
-    assert (traj.stats.contact_steps > 0) == (order == 2)  # above, smooth steps hold all contacts
+    if order == 2:
+        assert traj.stats.contact_steps > 0
+    else:  # smooth steps hold the contacts, but for a few moments
+        kinds, h = (traj.segments.arrays[name] for name in ("persistent", "h"))
+        assert h[kinds == 1.0].sum() <= 0.01 * h[kinds == 2.0].sum()
     check_contacts(traj)
     assert not list(contact_laws.event_laws(traj))
     assert not list(contact_laws.contact_laws(traj))
