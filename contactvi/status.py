@@ -76,11 +76,11 @@ class Stats:
         switches: where a rope went slack or taut, or an actuator came to its limit or left it, and a step ended there.
         held_branches: ropes and actuators whose law was kept over the rest of a step, where it would change for ever.
         seconds: wall time inside the engine.
-        contact_steps: steps and parts of steps with persistent contacts.
+        contact_steps: contact steps, of order 2, and parts of them; smooth steps that hold contacts are none of them.
         contact_iterations: iterations on the equations of these steps.
         cone_problems, cone_iterations: contact problems solved, and Newton iterations for them;
         cone_fallbacks: of the problems, those that needed another solver.
-        contact_seconds: wall time inside steps with persistent contacts.
+        contact_seconds: wall time inside contact steps.
         dense_steps: steps with all impacts inside of them (contact_mode).
         dense_passes: solutions of such steps, also of those that were made again shorter, or with points that joined.
         dense_problems, dense_sweeps, dense_factorizations: contact problems in these, Gauss-Seidel sweeps for them, and

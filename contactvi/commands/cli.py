@@ -114,7 +114,7 @@ def run(
     ] = None,
     dt_contact: Annotated[
         float | None,
-        typer.Option(help="Step in seconds during persistent contact, by default --dt, above order 2 1e-3."),
+        typer.Option(help="Length of contact steps, of order 2, in seconds: by default --dt, above order 2 1e-3."),
     ] = None,
     zeno: Annotated[
         str | None, typer.Option(help="Where impacts accumulate: hold (the contact) or end (the run).")

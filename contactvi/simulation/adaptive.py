@@ -8,9 +8,10 @@ its error follows the law, and the distance of the two tells how large both are.
 start from where the coarser one has gone. Where the error is above tol the level is lowered by this law and the run is
 made again; the run before is then the companion.
 
-Steps with persistent contacts are midpoint steps of one length, whatever the order, so their error goes with the square
-of that length; each finer run has them shorter by the factor of its level, and the same comparison measures both
-errors. How far they are refined is in contactvi.simulation.auto_contact.
+Persistent contacts are held in these steps, which end where a contact, a slip or a sticking ends, and follow the same
+law. Where they cannot be held the run takes contact steps, which are midpoint steps of one length whatever the order:
+their error goes with the square of that length. Each finer run has them shorter by the factor of its level, and the
+same comparison measures both errors. How far they are refined is in contactvi.simulation.auto_contact.
 
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
 relies on the law as far as successive distances have followed it, and is the whole distance where they do not. What the

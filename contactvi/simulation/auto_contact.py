@@ -1,9 +1,9 @@
-"""dt = "auto" where contacts persist: how far contact steps are refined, and what the comparison of two runs shows.
+"""dt = "auto" with contact steps of order 2: how far they are refined, and what the comparison of two runs shows.
 
-What the accuracy asked for would cost is known by the law before it is spent. Contact steps are refined within a
-budget, and where the distances of successive runs do not fall as the law says, at all times compared, they are not
-refined further: the motion multiplies errors, or goes another way after a contact. Dense steps, with impacts inside of
-them, follow no law, and the whole distance counts.
+A run takes them where smooth steps cannot hold its persistent contacts. What the accuracy asked for would cost is known
+by the law before it is spent. Contact steps are refined within a budget, and where the distances of successive runs do
+not fall as the law says, at all times compared, they are not refined further: the motion multiplies errors, or goes
+another way after a contact. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class ContactSearch:
 def judge_contact(
     companion: AutoRun, found: AutoRun, before: Judged | None, floor: float, size: float, ratio: float
 ) -> Judged:
-    """Judge a run with persistent contacts: a pair of runs follows the law if it does so at all times compared.
+    """Judge a run with contact steps: a pair of runs follows the law if it does so at all times compared.
 
     Without a law shorter steps bring runs no nearer; with it the next distance is by `fall` smaller. A distance above
     the geometric mean of the two belongs to the first. A pair that has lost each other tells nothing about the next.

@@ -49,7 +49,7 @@ class AutoRun:
 
     @property
     def in_contact(self) -> bool:
-        """Whether there were persistent contacts or dense steps."""
+        """Whether there were contact steps or dense steps."""
         return self.contact_time > 0.0
 
     @property
@@ -74,7 +74,7 @@ def ratio(companion: AutoRun, found: AutoRun) -> float:
 def share(companion: AutoRun, found: AutoRun, power: int) -> float:
     """Return error / (companion's error - error) by the law h^power of the lengths h of the segments.
 
-    Where the two runs do not meet the same impacts but both have persistent contacts, the levels alone decide.
+    Where the two runs do not meet the same impacts but both have contact steps, the levels alone decide.
     """
     by_segments = found.run.error_share(companion.run, power, found.dt_contact)
     return ratio(companion, found) if math.isnan(by_segments) else by_segments

@@ -72,9 +72,9 @@ def simulate(
         v0: initial velocity, shape (nv,).
         duration: simulated time [s]; a whole number of steps where dt is a number.
         dt: time step [s]; or "auto": the run finds the steps with which q is accurate to `tol`, and measures it
-            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, joint
-            friction, servos, forces given in Python, "dtec", order 2, record_every, or tolerances on the discrete
-            energy or on jumps of the modified one.
+            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, servos whose
+            targets move, forces given in Python, "dtec", order 2, record_every, or tolerances on the discrete energy
+            or on jumps of the modified one.
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
         tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
         sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.

@@ -116,9 +116,14 @@ class Ledger:
         self._dt = float("nan") if run.options.auto else run.options.fixed_dt
         self._damping = np.array(built.model.damping, dtype=float)
         self._steps = RemadeSteps(
-            core, self._dt, run.options.order, self._damping, self._constrained, complete=run.energies is None
+            core, self._dt, run.options.order, self._damping, self._meets_with_order_2(), complete=run.energies is None
         )
         self.t, self._q, self._p, self.events = run.t, run.q, run.p, run.events
+
+    def _meets_with_order_2(self) -> bool:
+        """Return whether constraints or joint friction are met by steps of order 2, whatever that of the run is."""
+        implicit = self._run.options.impact != "ctec" and bool(np.any(self._built.arrays.joint_friction))
+        return self._constrained and (implicit or self._run.options.record == "gradient")
 
     def __repr__(self) -> str:
         return f"<Ledger: {len(self.t)} nodes, {len(self.events)} impacts>"

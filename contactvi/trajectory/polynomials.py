@@ -30,8 +30,9 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "p": ("v",),  # momentum at the start, in the engine's coordinates
     "p1": ("v",),  # momentum at the end, before an impact there, in the engine's coordinates
     "rates": ("sv",),  # chart rates at the stages, one after the other, in the engine's coordinates
-    "persistent": (),  # 1 for a step with persistent contacts: a midpoint step whatever the order
+    "persistent": (),  # 1: a contact step or a dense one, of order 2; 2: a smooth step that holds contacts; 0: neither
 }
+CONTACT_STEP = 1.0
 FRAME_DT = 1.0 / 60.0  # [s] between two frames of a picture
 MAX_FRAMES = 6000
 

@@ -21,15 +21,13 @@ class RemadeSteps:
     Args:
         dt: length of the run's steps [s], NaN where they differ. order: of the method.
         damping: of the dofs, shape (nv,).
-        constrained: whether the scene has constraints or joint friction. complete: whether it has all of its functions
-            of the user; without some no energy is known.
+        order_2: whether the steps with constraints or joint friction have order 2 whatever that of the method.
+        complete: whether the scene has all of its functions of the user; without some no energy is known.
     """
 
-    def __init__(
-        self, core: _core.Scene, dt: float, order: int, damping: Array, constrained: bool, complete: bool
-    ) -> None:
+    def __init__(self, core: _core.Scene, dt: float, order: int, damping: Array, order_2: bool, complete: bool) -> None:
         self._core, self._dt, self._order = core, dt, order
-        self._damping, self._constrained, self._complete = damping, constrained, complete
+        self._damping, self._order_2, self._complete = damping, order_2, complete
         c, b = np.polynomial.legendre.leggauss(order // 2)
         self._gauss = 0.5 * (1.0 + c), 0.5 * b
 
@@ -59,7 +57,7 @@ class RemadeSteps:
         """
         if not self._complete:
             return np.full(len(q), np.nan)
-        order = 2 if self._constrained else self._order  # of steps with constraints or joint friction
+        order = 2 if self._order_2 else self._order
         return np.asarray(self._core.modified_energy(q, p, self._dt, order, t))
 
     def after(self, q: Array, p: Array, h: Array) -> tuple[Array, Array, Array, Array]:

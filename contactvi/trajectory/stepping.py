@@ -13,9 +13,12 @@ from contactvi.records.codes import StepKind
 from contactvi.records.dense_steps import DenseSteps
 from contactvi.records.work import ConstraintRows
 from contactvi.scene.scene import Scene
-from contactvi.status import Status
+from contactvi.status import Stats, Status
+from contactvi.trajectory.polynomials import CONTACT_STEP, Segments
 
 Array = NDArray[np.float64]
+
+_ALL = 1e-9  # of the time with contacts: what is shorter does not count
 
 
 class Run(Protocol):
@@ -24,6 +27,8 @@ class Run(Protocol):
     options: Options
     t: Array
     status: Status
+    stats: Stats
+    segments: Segments | None
     adaptive_steps: dict[str, Array] | None
     phases: dict[str, NDArray[Any]] | None
     dense_steps: DenseSteps
@@ -55,16 +60,45 @@ def _persistent_stepping(traj: Run, phases: Mapping[str, NDArray[Any]] | None) -
     if phases is None or not np.any(phases["persistent"] == StepKind.PERSISTENT):
         return ""
     persistent = phases["persistent"] == StepKind.PERSISTENT
-    ends = np.append(phases["t"][1:], traj.status.time)
-    span = float((ends - phases["t"])[persistent].sum())
+    spans = np.where(persistent, np.append(phases["t"][1:], traj.status.time) - phases["t"], 0.0)
     built = traj.scene.built()
     coupled = built.elements.couplings.names
     constrained = built.constrained or any(row.name not in coupled for row in traj.constraints)
-    what = "constraints met" if constrained else f"persistent contact for {span:.4g} s"
-    lengths, same = _lengths(phases["dt"][persistent]), traj.options.order == 2 and not traj.options.auto
+    what = f"persistent contact for {spans.sum():.4g} s"
+    same = traj.options.order == 2 and not traj.options.auto
     if same and np.all(phases["dt"][persistent] == traj.options.fixed_dt):
         return "" if constrained else f", {what}"
-    return f", {what} with order 2, dt{lengths}"
+    if traj.options.order > 2 and not traj.stats.contact_steps:
+        return f", {what}"
+    taken, stepped = _contact_steps(traj, phases, persistent, spans)
+    if not np.any(stepped):
+        return f", {what}, part of it with order 2"
+    lengths = _lengths(phases["dt"][stepped])
+    if taken < (1.0 - _ALL) * spans.sum():
+        return f", {what}, {taken:.4g} s of it with order 2, dt{lengths}"
+    return f", {'constraints met' if constrained else what} with order 2, dt{lengths}"
+
+
+def _contact_steps(
+    traj: Run, phases: Mapping[str, NDArray[Any]], persistent: NDArray[np.bool_], spans: Array
+) -> tuple[float, NDArray[np.bool_]]:
+    """Return for how long contact steps were taken [s], and the phases in which they were.
+
+    Polynomials tell them from smooth steps in which contacts are held; without them the length of a phase's steps does,
+    where it is not that of the run.
+    """
+    if traj.options.order == 2:
+        return float(spans.sum()), persistent
+    if traj.segments is None:
+        fixed = np.nan if traj.options.auto else traj.options.fixed_dt
+        stepped = persistent & (phases["dt"] < fixed)
+        return float(spans[stepped].sum()), stepped
+    steps = traj.segments.arrays
+    phase = np.searchsorted(phases["t"], steps["t"] + 0.5 * steps["h"]) - 1
+    of_order_2 = (steps["persistent"] == CONTACT_STEP) & (phase >= 0) & persistent[np.maximum(phase, 0)]
+    stepped = np.zeros(len(persistent), dtype=bool)
+    stepped[phase[of_order_2 & (steps["h"] > _ALL * spans.sum())]] = True
+    return float(steps["h"][of_order_2].sum()), stepped
 
 
 def _lengths(steps: Array) -> str:

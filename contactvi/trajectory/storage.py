@@ -85,7 +85,7 @@ segment/q             (m, nq)        configuration at its start
 segment/p             (m, nv)        momentum at its start, this and the next two in the engine's coordinates
 segment/p1            (m, nv)        momentum at its end, before an impact there
 segment/rates         (m, s nv)      chart rates at the Gauss stages (core/step/path.hpp)
-segment/held          (m,)           1 for a step with contacts or a dense one: a midpoint step whatever the order
+segment/held          (m,)           1: a contact step or a dense one, of order 2; 2: a smooth step that holds contacts
 arc/t                 (k,)           with dt "auto" only: from these times on [s]
 arc/dt                (k,)           the steps have these lengths [s]
 frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0

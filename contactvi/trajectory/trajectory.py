@@ -64,8 +64,9 @@ class Trajectory(Exports):
         contact_changes: when contacts began, stuck, slipped, ended (a `ChangeLog`).
         phases: of a run with persistent contacts or dense steps, {"t": (k,), "dt": (k,), "kind": (k,)}: from these
             times [s] on steps have these lengths [s] and this kind: "free", "persistent" (contacts persist) or "dense"
-            (all impacts are inside of them); else None. "persistent" has the kinds as numbers 0, 1 and 2
-            (contactvi.records.codes.StepKind).
+            (all impacts are inside of them); else None. Persistent contacts are held in smooth steps of the run's order
+            or met by contact steps of order 2, which `stats` counts and `stepping` tells. "persistent" has the kinds
+            as numbers 0, 1 and 2 (contactvi.records.codes.StepKind).
         dense_steps: the dense steps and how exactly their law holds (contactvi.records.dense_steps); empty without.
         adaptive_steps: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths
             [s]; else None.
@@ -190,7 +191,8 @@ class Trajectory(Exports):
         """The modified Hamiltonian [J], shape (N,).
 
         At order 2 what the midpoint rule with step dt conserves to O(dt^4); from order 4 on H itself, whose nodes are
-        within O(dt^order) of what the integrator conserves. Steps with constraints and joint friction have order 2.
+        within O(dt^order) of what the integrator conserves. With record="gradient" steps with constraints and joint
+        friction have order 2.
         """
         return self._get("modified_energy", lambda core: self.ledger.modified_energy)
 
@@ -229,7 +231,7 @@ class Trajectory(Exports):
 
     @property
     def friction_loss(self) -> Array:
-        """What sliding took in persistent contacts up to each node [J], shape (N,); to O(dt_contact^2).
+        """What sliding took in persistent contacts up to each node [J], shape (N,); to the error of the steps.
 
         With what contacts took in dense steps, by friction and restitution (`ledger.dense_loss` alone).
         """

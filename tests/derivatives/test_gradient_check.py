@@ -7,7 +7,9 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from derivatives.test_persistent_sensitivity import arm, ball_on_ball
 from derivatives.test_sensitivity import at_wall, falling
+from helpers import constrained_scenes
 from helpers.run_scenes import slider_scene
 
 
@@ -38,6 +40,28 @@ def test_inputs_are_those_of_the_run():
     options = {"duration": 0.3, "dt": 0.01, "order": 2, "wrt": ["q0", "v0"]}
     found = cvi.check_gradient(scene, q, v, control=lambda t, q, v: -3.0 * q, **options)
     assert [column.believe for column in found.columns] == ["both"] * 4
+
+
+HELD = {
+    "an arm slips": (lambda: arm(0.1), 0.7),
+    "an arm with joint friction": (lambda: arm(0.2, 1.0), 0.7),
+    "a ball slips, and leaves a ball": (lambda: ball_on_ball(0.1), 0.6),
+    "a four-bar linkage": (constrained_scenes.linkage, 0.2),
+    "a four-bar linkage with joint friction": (lambda: constrained_scenes.linkage(joint_friction=1.0), 0.2),
+}
+
+
+@pytest.mark.parametrize("order", [4, 6])
+@pytest.mark.parametrize("name", HELD)
+def test_differences_have_the_steps_of_runs_for_derivatives(name, order):
+    """Contacts, joint friction and constraints have order 2 there, and that of the run elsewhere."""
+    make, duration = HELD[name]
+    scene, q, v = make()
+    if "linkage" in name:
+        q, v = constrained_scenes.on_constraints(scene, q, v)
+    found = cvi.check_gradient(scene, q, v, duration, 0.01, order=order)
+    assert {column.believe for column in found.columns} == {"both"}
+    assert max(column.worse.relative_difference for column in found.columns) <= 1e-8
 
 
 @pytest.mark.parametrize("e", [0.4, 1.0])

@@ -1,4 +1,7 @@
-"""The derivatives of runs with persistent contacts against fourth-order differences of the runs themselves."""
+"""The derivatives of runs with persistent contacts against fourth-order differences of the runs themselves.
+
+All runs keep their derivatives, those of the differences, too: above order 2 other runs have other steps in contact.
+"""
 
 from __future__ import annotations
 
@@ -162,7 +165,8 @@ def check(start: Start, columns: list[int], steps: tuple[float, float], **option
     traj = cvi.simulate(scene, q, v, record="gradient", **options)
 
     def end(change: np.ndarray) -> np.ndarray:
-        run = cvi.simulate(scene, pin.integrate(scene.model, q, change[:nv]), v + change[nv:], **options)
+        start = pin.integrate(scene.model, q, change[:nv]), v + change[nv:]
+        run = cvi.simulate(scene, *start, record="gradient", **options)
         assert [c.change for c in run.contact_changes] == [c.change for c in traj.contact_changes]
         return np.concatenate([pin.difference(scene.model, traj.q[-1], run.q[-1]), run.v[-1]])
 
@@ -219,8 +223,8 @@ def test_inputs_and_friction_are_parameters(name):
     make, duration, options, _ = RUNS[name]
     scene, q, v = make()
     nv, mu = scene.nv, 0.1  # that of all three
-    options = options | {"duration": duration}
-    base = cvi.simulate(scene, q, v, record="gradient", **options)
+    options = options | {"duration": duration, "record": "gradient"}
+    base = cvi.simulate(scene, q, v, **options)
     S = base.sensitivity(["control", "friction"])
     steps = round(duration / options["dt"])
 
@@ -246,8 +250,8 @@ def test_parameters_of_the_scene(mu, duration):
     scene_of = sprung_arm(restitution=0.0, friction=mu)
     x = np.array(SPRUNG_ARM)
     q, v = np.array([0.4, -0.2]), np.array([0.0, 1.0])
-    options = {"duration": duration, "dt": 0.005, "order": 4, "target": [0.3]}
-    traj = cvi.simulate(scene_of(x), q, v, record="gradient", **options)
+    options = {"duration": duration, "dt": 0.005, "order": 4, "target": [0.3], "record": "gradient"}
+    traj = cvi.simulate(scene_of(x), q, v, **options)
     assert [c.change for c in traj.contact_changes] == ["begin"]
     compare_parameters(traj, lambda x: cvi.simulate(scene_of(x), q, v, **options), x, NAMES, COLUMNS)
     assert transpose_error(traj, [*NAMES, "friction"] if mu > 0.0 else list(NAMES)) <= 1e-11
@@ -318,9 +322,42 @@ def test_a_run_in_parts_has_the_same_derivatives():
     assert np.array_equal(sim.trajectory().sensitivity().matrix, whole.sensitivity().matrix)
 
 
-def test_what_is_kept_changes_no_digit():
+@pytest.mark.parametrize("order", [2, 4, 8])
+def test_what_is_kept_changes_no_digit(order):
+    """Above order 2 a record of derivatives is the exception: see the next test."""
     scene, q, v = ball_on_ball(0.1)
-    plain = cvi.simulate(scene, q, v, duration=0.4, dt=0.01, order=4)
-    kept = cvi.simulate(scene, q, v, duration=0.4, dt=0.01, order=4, record="gradient")
-    assert np.array_equal(plain.q, kept.q)
-    assert np.array_equal(plain.p, kept.p)
+    options = {"duration": 0.4, "dt": 0.01, "order": order}
+    plain = cvi.simulate(scene, q, v, **options)
+    assert [c.change for c in plain.contact_changes] == ["begin", "release"]
+    others = [{"dense": True}, {"dense": False}, {"record_contacts": False}]
+    for other in [*others, {"record": "gradient"}] if order == 2 else others:
+        kept = cvi.simulate(scene, q, v, **options, **other)
+        assert np.array_equal(plain.q, kept.q)
+        assert np.array_equal(plain.p, kept.p)
+    for record in (False, 5):
+        sim = cvi.Simulator(scene, dt=0.01, order=order, record=record)
+        sim.reset(q, v)
+        assert sim.run(40).ok
+        assert np.array_equal(plain.q[-1], sim.q)
+        assert np.array_equal(plain.p[-1], sim.p)
+
+
+@pytest.mark.parametrize("order", [4, 8])
+def test_runs_for_derivatives_have_contact_steps_of_order_two(order):
+    """Above order 2 a record of derivatives changes the steps in contact, which it says, and none before them."""
+    scene, q, v = ball_on_ball(0.1)
+    options = {"duration": 0.4, "dt": 0.01, "order": order}
+    plain, kept = (cvi.simulate(scene, q, v, record=record, **options) for record in ("states", "gradient"))
+    begin, end = plain.contact_changes.array("time")
+    assert begin == kept.contact_changes[0].time
+    flight = plain.t < begin
+    assert np.array_equal(plain.q[flight], kept.q[flight])
+    assert (plain.stats.contact_steps, kept.stats.contact_steps >= (end - begin) / 1e-3) == (0, True)
+    assert "order 2" not in plain.stepping
+    assert "with order 2, dt = 0.001 s" in kept.stepping
+    # the error of contact steps falls with their square; that of the other run is one of its order
+    finer = cvi.simulate(scene, q, v, record="gradient", dt_contact=2.5e-4, **options)
+    close = cvi.simulate(scene, q, v, duration=0.4, dt=0.01, order=16)
+    errors = [float(np.abs(traj.q[-1] - close.q[-1]).max()) for traj in (kept, finer, plain)]
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1), errors
+    assert errors[2] < {4: 0.1, 8: 1e-5}[order] * errors[0], errors

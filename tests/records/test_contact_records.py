@@ -15,7 +15,6 @@ import contactvi as cvi
 from contactvi.playback.contact_frames import contact_frames
 from contactvi.playback.page import make_html
 from contactvi.records import events
-from contactvi.run_settings import CONTACT_DT
 from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.trajectory.compiled import compile_scene
 from helpers.contact_runs import CORNERS, GRAVITY, MASS, MU, SPAN, SPEED, STEP, STOP, box_scene, sliding_box
@@ -310,13 +309,19 @@ def test_a_ball_comes_to_rest(order, impact):
     assert traj.contacts.impulse_on("ball")[2] == pytest.approx(3.0 * weight, rel=1e-9)
     assert np.nanmax(traj.ledger.impulse_balance) <= 1e-12
     assert traj.phases["persistent"].tolist() == [0.0, 1.0]
-    assert traj.phases["dt"][1] == (1e-2 if order == 2 else CONTACT_DT)
+    assert traj.phases["dt"].tolist() == [1e-2, 1e-2]
     assert traj.ledger.contacts.gap == pytest.approx(0.0, abs=1e-10)
     assert np.abs(traj.ledger.contacts.complementarity).max() <= 1e-12
     ended = [change for change in traj.contact_changes if change.change == "bouncing ended"]
     assert ended[0].value == pytest.approx(3.0 * math.sqrt(2.0 / GRAVITY), abs=1e-9)
     assert traj.at(2.345).q == pytest.approx(traj.q[-1], abs=1e-9)
-    assert traj.stats.contact_steps > 100
+    assert traj.contacts.h.max() == pytest.approx(1e-2, rel=1e-12)
+    assert len(force) > 100
+    # contact steps of order 2, or smooth steps that hold the contact
+    assert (traj.stats.contact_steps > 100) if order == 2 else (traj.stats.contact_steps == 0)
+    held = traj.segments.arrays["persistent"]
+    assert set(held[traj.segments.arrays["t"] > 1.36].tolist()) == {1.0 if order == 2 else 2.0}
+    assert not held[traj.segments.arrays["t"] < 1.35].any()
     assert len(make_html(traj)) > 500_000
 
 
@@ -367,11 +372,24 @@ def test_endings():
     assert slider.q[-1] == pytest.approx([-0.2], abs=1e-10)
 
 
-def test_auto_measures_runs_that_come_to_rest():
+@pytest.mark.parametrize("order", [4, 16])
+def test_auto_measures_runs_that_come_to_rest(order):
     """The motion is known: bounces, then rest; more or fewer impacts before it do not confuse the estimate."""
-    traj = cvi.simulate(ball_scene(restitution=0.5), duration=3.0)
-    assert traj.error_estimate <= 1e-6
-    assert traj.phases["persistent"][-1] == 1.0
-    assert traj.phases["dt"][-1] <= 1e-2
-    longest = cvi.simulate(ball_scene(restitution=0.5), duration=3.0, dt="auto", dt_contact=2e-4)
-    assert longest.phases["dt"][-1] <= 2e-4
+    falls = math.sqrt(2.0 / GRAVITY)  # from 1 m
+    for dt_contact in (None, 2e-4):
+        traj = cvi.simulate(ball_scene(restitution=0.5), duration=3.0, dt="auto", order=order, dt_contact=dt_contact)
+        assert traj.error_estimate <= 1e-6
+        assert traj.phases["persistent"].tolist() == [0.0, 1.0]
+        assert 0.0 <= 3.0 * falls - traj.phases["t"][1] < 1e-2
+        exact = np.full(len(traj), 0.1)
+        begin, flight = -falls, 2.0 * falls
+        while flight > 1e-12:
+            inside = (traj.t >= max(begin, 0.0)) & (traj.t <= begin + flight)
+            since = traj.t[inside] - begin
+            exact[inside] = 0.1 + 0.5 * GRAVITY * since * (flight - since)
+            begin, flight = begin + flight, 0.5 * flight
+        assert np.abs(traj.q[:, 2] - exact).max() <= 1e-6
+        # the contact is held in steps as long as those of the flight before
+        assert traj.stats.contact_steps == 0
+        lengths = traj.adaptive_steps["dt"]
+        assert lengths[-1] >= 0.99 * lengths[0]

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 
 import contactvi as cvi
-from contactvi.simulation.auto_contact import BUDGET
+from contactvi.simulation.auto_contact import BUDGET, ContactSearch, Judged
+from contactvi.simulation.auto_runs import AutoRun
 from contactvi.states import States
 from helpers.chains import JOINTS, chain
 from helpers.run_scenes import FIRST_IMPACT, ball_file, ball_scene, slider_scene
@@ -388,42 +392,106 @@ def tipping(duration: float = 0.08) -> tuple[cvi.Scene, np.ndarray, float]:
     return scene, v, duration
 
 
-def contact_error(traj: cvi.Trajectory, scene: cvi.Scene, v: np.ndarray, duration: float) -> float:
-    """Largest error of q over the nodes, from contact steps of 1e-5 s."""
-    options = {"order": 16, "tol": 1e-13, "dt_contact": 1e-5, "contact_mode": "events"}
-    close = cvi.simulate(scene, None, v, duration, dt=1e-3, **options)
-    return error(traj, close)
+def tipping_error(traj: cvi.Trajectory) -> float:
+    """Largest error of q over the nodes. The box is a pendulum about its edge: its angle by DOP853."""
+    half, start = np.array([0.1, 0.0, 0.15]), np.asarray(traj.q[0])
+    arm = np.array([-half[0], 0.0, half[2]])  # from the edge to the centre, in the box
+    turned = [pin.Quaternion(start[3:]).matrix(), None]
+    edge = start[:3] - turned[0] @ arm
+
+    def rate(_: float, y: np.ndarray) -> list[float]:
+        lever = half[0] * math.cos(y[0]) - half[2] * math.sin(y[0])
+        return [y[1], -0.75 * 9.81 * lever / float(half @ half)]
+
+    span = (0.0, float(traj.t[-1]))
+    angles = solve_ivp(rate, span, [0.5, 1.5], "DOP853", t_eval=traj.t, rtol=3e-14, atol=1e-15).y[0]
+    rotations = [pin.rpy.rpyToMatrix(0.0, angle, 0.0) for angle in angles]
+    exact = np.array([np.append(edge + turn @ arm, pin.Quaternion(turn).coeffs()) for turn in rotations])
+    return float(States(traj.scene.model).distance(traj.q, exact).max())
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-6])
-def test_contact_steps_meet_the_accuracy_asked_for(tol):
+@pytest.mark.parametrize("order", [4, 16])
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-9, 1e-11])
+def test_persistent_contact_meets_the_accuracy_asked_for(tol, order):
+    """Smooth steps of the order hold the contacts: a digit more costs little, and nothing is to be said."""
     scene, v, duration = tipping()
-    traj = cvi.simulate(scene, None, v, duration, dt="auto", tol=tol)
-    assert "persistent" in traj.phases["kind"]
-    found = contact_error(traj, scene, v, duration)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        traj = cvi.simulate(scene, None, v, duration, dt="auto", tol=tol, order=order)
+    assert traj.phases["kind"].tolist() == ["persistent"]
+    assert traj.stats.contact_steps == 0
+    found = tipping_error(traj)
     assert found / 3.0 - 1e-12 <= traj.error_estimate <= tol
     assert found <= tol
+    assert traj.stats.steps <= {4: tol**-0.25, 16: 4}[order]
 
 
-def test_contact_steps_stop_at_the_budget():
-    """A tol that would take far more steps: the best run within the budget, an honest estimate, and what to do."""
+def test_shorter_contact_steps_do_not_change_smooth_steps():
+    """dt_contact is for contact steps, of which there are none here."""
     scene, v, duration = tipping()
-    plain = cvi.simulate(scene, None, v, duration, dt=1e-3)
+    runs = [cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-9, dt_contact=dt) for dt in (None, 2e-4, 1e-6)]
+    for traj in runs[1:]:
+        np.testing.assert_array_equal(traj.q, runs[0].q)
+    close = cvi.simulate(scene, None, v, duration, dt=1e-3, dt_contact=1e-5, contact_mode="events", tol=1e-14)
+    assert tipping_error(close) < 1e-6  # order 2
+
+
+def run_of_contact_steps(step: float) -> AutoRun:
+    """A second of contact steps of this length, two contact iterations each."""
+    run = SimpleNamespace(contact_time=1.0, contact_iterations=round(2.0 / step), code=0, dense_steps=0, segments=1)
+    return AutoRun(1e-4, step, 1e-12, cast(Any, run), False, cast(Any, None))
+
+
+@pytest.mark.parametrize(("dt_contact", "part"), [(None, 1.0), (1e-4, 1.0), (1e-5, math.sqrt(3e-6))])
+def test_contact_steps_stop_at_the_budget(dt_contact, part):
+    """Contact steps, where a run falls back to them: shorter ones within the budget, or what they would cost.
+
+    The budget is six times the iterations of steps of 1 ms, or of the dt_contact asked for.
+    """
+    search = ContactSearch(cvi.Options(dt="auto", tol=1e-11, dt_contact=dt_contact))
+    search.spent = 2000
+    judged = Judged(1e-6, 1e-6, np.zeros(24), 0.1, lawful=True, confirmed=True)
+    found, reason = search.next_part(run_of_contact_steps(1e-3), judged)
+    assert found == pytest.approx(part)
+    iterations = 2.0 / (min(1e-3, dt_contact or 1.0)), 2000.0 / math.sqrt(3e-6)
+    if part < 1.0:
+        assert reason == ""
+        assert search.spent + iterations[1] <= BUDGET * iterations[0]
+    else:
+        assert search.spent + iterations[1] > BUDGET * iterations[0]
+        assert "contact steps of 2e-06 s would reach it" in reason
+        assert f"at {iterations[1] / iterations[0]:.0f} times the cost of steps of {dt_contact or 1e-3:.1g} s" in reason
+        assert "ask for them by dt_contact" in reason
+
+
+def rubbing() -> cvi.Scene:
+    """A double pendulum with joint friction, which the map MHC leaves to contact steps."""
+    scene = swinging()
+    scene.set_joint("j*", friction=0.3)
+    return scene
+
+
+def test_contact_steps_within_the_budget():
+    """A tol that would take far more steps: the best run within the budget, an honest estimate, and what to do."""
+    plain = cvi.simulate(rubbing(), duration=1.0, dt=1e-3, order=16, impact="mhc")
+    exact = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-11)
+    assert exact.stats.contact_steps == 0
     with pytest.warns(cvi.AccuracyWarning, match=r"contact steps of .* s would reach it.*ask for them by dt_contact"):
-        traj = cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-11)
-    assert traj.stats.contact_iterations <= BUDGET * plain.stats.contact_iterations
-    found = contact_error(traj, scene, v, duration)
+        traj = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-11, impact="mhc")
+    assert 0 < traj.stats.contact_iterations <= BUDGET * plain.stats.contact_iterations
+    found = error(traj, exact)
     assert found / 3.0 <= traj.error_estimate <= 30.0 * found
 
 
 def test_shorter_contact_steps_where_they_are_asked_for():
-    scene, v, duration = tipping()
     with pytest.warns(cvi.AccuracyWarning):
-        coarse = cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-9)
+        coarse = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-9, impact="mhc")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cvi.AccuracyWarning)
-        fine = cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-9, dt_contact=2e-4)
+        fine = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-9, impact="mhc", dt_contact=1e-4)
     assert fine.error_estimate <= 0.1 * coarse.error_estimate
+    exact = cvi.simulate(rubbing(), duration=1.0, dt="auto", tol=1e-11)
+    assert error(fine, exact) / 3.0 <= fine.error_estimate
 
 
 def test_events_do_not_shorten_the_steps_after_them():

@@ -271,6 +271,19 @@ def test_constraints_have_a_modified_hamiltonian():
     assert np.log2(spread[0][1] / spread[1][1]) == pytest.approx(2.0, abs=0.2)
 
 
+@pytest.mark.parametrize("order", [4, 8])
+def test_above_order_2_it_is_the_energy(order):
+    """But not in runs for derivatives, whose steps have order 2."""
+    scene, q, v = five_bar(1.0)
+    runs = {
+        record: cvi.simulate(scene, q, v, duration=0.16, dt=2e-3, order=order, record=record)
+        for record in ("states", "gradient")
+    }
+    np.testing.assert_array_equal(runs["states"].modified_energy, runs["states"].energy)
+    assert np.ptp(runs["gradient"].modified_energy) < 0.1 * np.ptp(runs["gradient"].energy)
+    assert np.ptp(runs["states"].energy) < 0.1 * np.ptp(runs["gradient"].energy)
+
+
 @pytest.mark.parametrize("pose", [False, True])
 def test_the_modified_hamiltonian_changes_by_the_work_of_what_is_driven(pose):
     """Of an arm on a driven joint, and of one on a body that is moved: to the fourth order of the step."""

@@ -315,18 +315,23 @@ def test_energy_of_holding_is_bounded_and_does_not_drift():
     assert laws.orders(spans)[0] == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("record", "step"), [("states", 0.1), ("gradient", 0.005)])
 @pytest.mark.parametrize("order", [4, 8])
-def test_contact_phases_of_high_order_runs_take_their_own_step(order):
-    """Free flight at high order and a large dt, then steps of dt_contact, which the result names."""
+def test_contact_phases_of_high_order_runs(order, record, step):
+    """Free flight at high order and a large dt, then smooth steps as long; steps of dt_contact for derivatives."""
     scene, q, v = persistent_runs.ball(mu=0.3, gap=1.0)
     v[:2] = 0.5, 0.2
-    traj = cvi.simulate(scene, q, v, 1.0, 0.1, order=order, dt_contact=0.005)
+    traj = cvi.simulate(scene, q, v, 1.0, 0.1, order=order, dt_contact=0.005, record=record)
     impact_time = math.sqrt(2.0 / GRAVITY)
     assert traj.phases is not None
     assert traj.phases["persistent"].tolist() == [0, 1]
     assert traj.phases["t"][1] == pytest.approx(impact_time, abs=1e-10)
-    assert traj.phases["dt"][1] <= 0.005 + 1e-15
-    assert traj.contacts.h.max() <= 0.005 * (1 + 1e-12)
+    assert traj.phases["dt"][1] == step
+    assert traj.contacts.h.max() == pytest.approx(step, rel=1e-12)
+    in_contact = 1.0 - impact_time
+    assert (traj.stats.contact_steps >= in_contact / step) if record == "gradient" else traj.stats.contact_steps == 0
+    order_2 = " with order 2, dt = 0.005 s" if record == "gradient" else ""
+    assert traj.stepping == f"order {order}, dt = 0.1 s, persistent contact for {in_contact:.4g} s{order_2}"
     check_contacts(traj, 0.3)
     check_sums(traj, [1.0], ["ball"])
     # impact with friction: the slip .54 m/s stops within it, 2/7 of it changes the speed; then it rolls
@@ -381,7 +386,15 @@ def test_limp_arm_falls_on_its_limits(restitution, order):
     assert np.max(low - traj.q) <= 1e-10
     assert np.max(traj.q - high) <= 1e-10
     assert len({event.pair for event in traj.events}) >= 3
-    assert traj.stats.contact_steps > 0
+    assert traj.phases is not None
+    assert 1 in traj.phases["persistent"]
+    assert np.all(traj.phases["dt"] == 1e-3)
+    assert traj.contacts.h.max() == pytest.approx(1e-3, rel=1e-9)
+    if order == 2:
+        assert traj.stats.contact_steps > 0
+    else:  # smooth steps hold the contacts, but for a few moments
+        kinds, h = (traj.segments.arrays[name] for name in ("persistent", "h"))
+        assert h[kinds == 1.0].sum() <= 0.01 * h[kinds == 2.0].sum()
     check_contacts(traj)
     assert not list(contact_laws.event_laws(traj))
     assert not list(contact_laws.contact_laws(traj))
