@@ -112,7 +112,7 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
     const double longest = persistent ? std::min(contact_dt(), truncation_.longest_contact) : state_.adaptive_dt;
     section = section_of(begin, persistent ? end : next_sample(steps.sample, origin, begin, longest, end), longest);
     smooth = std::min(section.h(), state_.adaptive_dt);  // the longest smooth step of an interval
-    state_.control.free.longest = smooth;
+    state_.control.free.longest = truncation_.length = smooth;
     const double h = section.h();
     if (lengths.empty() || std::abs(h - lengths.back().second) > kNearSample * h) lengths.emplace_back(begin, h);
   };

@@ -30,7 +30,8 @@ bool Simulator::enter_branch(Interval& interval, const VecX& q, const VecX& v, b
   integrator_.forget();
   if (switches_.which() >= branches_.count()) {
     change_contact(switches_.which() - branches_.count(), interval.start + interval.done, v, moved, recording);
-    if (!moved && !state_.control.count_standstill()) return leave_to_contact_steps(interval.start + interval.done);
+    if (!moved && (!state_.control.count_standstill() || state_.control.stands_still()))
+      return leave_to_contact_steps(interval.start + interval.done);
     return true;
   }
   if (!branches_.change(switches_.which(), q, v, moved)) ++state_.switches.held;

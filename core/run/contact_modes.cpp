@@ -31,9 +31,9 @@ void ContactModes::end_step() {
   active_ = watches_ = false;
 }
 
-bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX& tau) {
+bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
-  if (!step_->modes_known() && !find_modes(q, v, t, tau)) return false;
+  if (!step_->modes_known() && !find_modes(q, v, t, tau, recording)) return false;
   step_->set_modes_known();
   endings_.clear();
   for (std::size_t i = 0; i < contacts.size(); ++i) {
@@ -52,7 +52,7 @@ bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX
 }
 
 // Which contacts stick, from the accelerations at the start of a phase.
-bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX& tau) {
+bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
   directions_.assign(contacts.size(), Vec3::Zero());
   for (std::size_t i = 0; i < contacts.size(); ++i) {
@@ -92,6 +92,7 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
       c.heading = (a[0] * t1 + a[1] * step_->force_contact(i).normal.cross(t1)).normalized();
       c.sticks = c.anchored = false;
       directions_[i] = c.heading;
+      record_change(t, c.point, Change::kSlip, 0.0, recording);
     }
     if (is_paradox(i)) return false;
   }

@@ -22,7 +22,7 @@ class ContactModes final : public SwitchFunctions {
 
   // The next smooth step starts at (q, v) at t [s]: it holds the contacts as they are there. False: it cannot; the
   // reason may be that forces were not found, or that no force keeps a sliding contact closed.
-  bool begin_step(const VecX& q, const VecX& v, double t, const VecX& tau);
+  bool begin_step(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording);
   // The next smooth steps hold no contacts.
   void end_step();
   bool active() const { return active_; }
@@ -30,6 +30,8 @@ class ContactModes final : public SwitchFunctions {
   // The step of length h from q0 was solved to q1: whether its contacts are still those of the features that touch, and
   // whether what they do may end in it.
   bool fits(const VecX& q1);
+  // Whether it leaves open how sliding contacts share a load, which decides about the motion: contact steps do not.
+  bool is_undetermined() const { return integrator_->constraints()->slides_share_load(); }
   void take_step(double h, const VecX& v0, const VecX& tau);
   bool may_end() const;
   double friction_work() const;  // in the step just solved [J], <= 0
@@ -61,7 +63,7 @@ class ContactModes final : public SwitchFunctions {
   };
   void sum_impulses(std::size_t i, Held& held) const;
   void share_impulses(const VecX& q1);
-  bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau);
+  bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording);
   bool is_paradox(std::size_t i) const;
   Vec3 direction(double at, std::size_t i) const;
   double stick_margin(std::size_t i) const;

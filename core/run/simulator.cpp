@@ -367,7 +367,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (!branches_.none() && !begin_branches(interval)) return false;
   if (holds) {
     if (!integrator_.node_velocity(state_.q, state_.p, v_) ||
-        !modes_.begin_step(state_.q, v_, at, interval.tau))
+        !modes_.begin_step(state_.q, v_, at, interval.tau, recording))
       return leave_to_contact_steps(at);
     integrator_.set_time(at);
   }
@@ -379,6 +379,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     control.halve_free(h);
     return true;
   }
+  if (holds && modes_.is_undetermined()) return leave_to_contact_steps(at);
   if (holds && !modes_.fits(q1_)) return shorten_held_step(h, at);
   // Adaptive steps are as short as their stages need; an implicit map has its own energy, and an impulse for the whole
   // step.
@@ -411,7 +412,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   }
   const bool shorter = halves || switches;
   if (holds)
-    record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kPersistent, recording);
+    record_phase(at, truncation_.bound > 0.0 ? truncation_.length : options_.dt, StepKind::kPersistent, recording);
   else if (!recording.phase_t.empty())
     record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kFree, recording);
   if (!stays_in_range(at)) return false;
@@ -456,9 +457,11 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   interval.done += h;
   interval.remaining = shorter ? interval.length - interval.done : 0.0;
   interval.keeps_branches = false;
-  if (switches) enter_branch(interval, state_.q, switches_.v(), true, recording);
+  // Changes of contact may follow each other for ever where rounding decides about them.
+  const bool moved = !holds || h > StepControl::kShortest * options_.dt;
+  if (switches) enter_branch(interval, state_.q, switches_.v(), moved, recording);
   modes_.end_step();
-  if (holds) control.progress();
+  if (holds && moved) control.progress();
   if (touches && contact_step_.contacts().empty()) resume_free_motion(interval.start + interval.done);
   // Each part of a step that was cut counts as a step of its own.
   if (interval.remaining > 0.0) law_->start_step(free_state(interval.start + interval.done), state_.reference);

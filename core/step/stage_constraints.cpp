@@ -444,6 +444,27 @@ void StageConstraints::factor_matrix() {
   factor_.compute(used_matrix_);
 }
 
+bool StageConstraints::slides_share_load() const {
+  if (!redundant_ || slides_ == 0) return false;
+  const MatX& W = nodes_[0].W;
+  std::vector<int> others;
+  for (int r = 0; r < rows_; ++r) {
+    bool slides = false;
+    for (const PhaseRows::Slide& slide : phase_->slides()) slides = slides || fixed_ + slide.normal == r;
+    if (!slides) others.push_back(r);
+  }
+  const auto redundant = [](MatX rows) {
+    if (rows.cols() == 0) return Eigen::Index{0};
+    for (Eigen::Index r = 0; r < rows.cols(); ++r)
+      if (const double size = rows.col(r).norm(); size > 0.0) rows.col(r) /= size;
+    Eigen::ColPivHouseholderQR<MatX> factor;
+    factor.setThreshold(kRedundant);
+    factor.compute(rows);
+    return rows.cols() - factor.rank();
+  };
+  return redundant(W) > redundant(W(Eigen::all, others));
+}
+
 // Sets the change of the unknowns that takes the residuals away. Where rows share a load the impulses are the least
 // ones, whatever they were before: what sliding contacts share decides about the motion.
 void StageConstraints::solve_unknowns() {
@@ -491,9 +512,7 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
   if (count == 0) return;  // there are constant forces alone
   const std::size_t size = static_cast<std::size_t>(nv) * S;
   set_charts(stages);
-  // Which impulses are least depends on the directions of the slips.
-  const bool shares = redundant_ && slides_ > 0;
-  if (factor || changed_turns_ || shares || static_cast<int>(given_.size()) != count) make_matrix(stages, stiff);
+  if (factor || changed_turns_ || static_cast<int>(given_.size()) != count) make_matrix(stages, stiff);
   changed_turns_ = false;
   std::copy_n(stages.dv(), size, changed_.data());
   residual_.resize(count);

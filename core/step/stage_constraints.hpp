@@ -78,6 +78,8 @@ class StageConstraints {
   const LobattoTable& table() const { return *table_; }
   // Whether rows share a load, so that their impulses are not the only ones that keep them.
   bool shares_load() const { return redundant_; }
+  // Whether sliding contacts do: then their impulses, of which any split keeps the rows, decide about the motion.
+  bool slides_share_load() const;
   const VecX& end_velocity() const { return v1_; }
 
   // Mean forces of the rows in the last step, from which the next one starts: all that it depends on.
