@@ -70,7 +70,8 @@ Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::op
   if (coarser != nullptr && !coarser->run.recording.adaptive_t.empty())
     plan.emplace(StepPlan{coarser->run.recording, part, coarser->planned});
   return keep(sim, progress, coarser, plan.has_value(), [&](const Progress& callback, Recording& recording) {
-    return sim.run_auto(duration, {level, plan ? &*plan : nullptr, sample, after_impact, target.value_or(MatX())}, callback, recording);
+    return sim.run_auto(duration, {level, plan ? &*plan : nullptr, sample, after_impact, target.value_or(MatX())},
+                        callback, recording);
   });
 }
 

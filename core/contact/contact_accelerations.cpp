@@ -176,7 +176,8 @@ bool ContactStep::share_impulses(StepEquations& equations, const VecCRef& q, con
     cones[i].frozen = cones[i].rows == 3 && !contacts_[i].sticks;
     const Vec3& t1 = node0_.t1[i];
     if (cones[i].frozen)
-      cones[i].d = Eigen::Vector2d(directions[i].dot(t1), directions[i].dot(node0_.at[i].normal.cross(t1))).normalized();
+      cones[i].d =
+          Eigen::Vector2d(directions[i].dot(t1), directions[i].dot(node0_.at[i].normal.cross(t1))).normalized();
   }
   const VecX b = -(G * impulses);
   VecX shared = impulses;

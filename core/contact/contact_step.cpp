@@ -128,8 +128,7 @@ void ContactStep::start_node(const VecCRef& q0) {
     set_place(persistent.point, i, node0_);
     node0_.t1[i] = geometry_.start_tangent(persistent, node0_.at[i]);
     guards_->rows(persistent.point.guard, node0_.at[i], node0_.t1[i], node0_.W.middleCols(row_[i], persistent.rows()));
-    if (persistent.point.material)
-      reference_positions_[i] = geometry_.reference(persistent);
+    if (persistent.point.material) reference_positions_[i] = geometry_.reference(persistent);
   }
 }
 

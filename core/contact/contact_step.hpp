@@ -143,8 +143,8 @@ class ContactStep final : public Stepper {
   // the rows with them. Contacts that slide do so along d: their slip, if it is one, with the sign of `directions`
   // (world), else that. equations: whose forces act.
   struct Forces {
-    VecX f, a;            // of all rows
-    double scale = 0.0;   // of f
+    VecX f, a;             // of all rows
+    double scale = 0.0;    // of f
     double largest = 0.0;  // acceleration without contacts
     double margin(int row, double mu) const { return mu * f[row] - f.segment<2>(row + 1).norm(); }
   };

@@ -9,15 +9,15 @@ namespace contactvi {
 
 struct PersistentContact {
   ContactPoint point;
-  double mu = 0;              // Coulomb's coefficient; 0: one row, no friction
-  bool sticks = true;         // at the node: the two material points have no relative tangential velocity
+  double mu = 0;                // Coulomb's coefficient; 0: one row, no friction
+  bool sticks = true;           // at the node: the two material points have no relative tangential velocity
   Vec3 heading = Vec3::Zero();  // unit, world: where the slip goes that begins at the node; zero: nowhere
-  Vec3 slip = Vec3::Zero();   // relative tangential velocity at the node [m/s], world
-  bool anchored = false;      // whether `anchor` is set
-  Vec3 anchor;                // position at which a material point sticks [m], in the plane's body frame
-  Vec3 tangent;               // t1; of a vertex in the plane's body frame, else in the world, turned with the normal
-  Vec3 force = Vec3::Zero();  // (n, t1, t2) in the last step [N]: start values of the next one
-  bool is_new = false;        // while an event is resolved: the contact was not closed before it
+  Vec3 slip = Vec3::Zero();     // relative tangential velocity at the node [m/s], world
+  bool anchored = false;        // whether `anchor` is set
+  Vec3 anchor;                  // position at which a material point sticks [m], in the plane's body frame
+  Vec3 tangent;                 // t1; of a vertex in the plane's body frame, else in the world, turned with the normal
+  Vec3 force = Vec3::Zero();    // (n, t1, t2) in the last step [N]: start values of the next one
+  bool is_new = false;          // while an event is resolved: the contact was not closed before it
 
   int rows() const { return mu > 0.0 ? 3 : 1; }
 };

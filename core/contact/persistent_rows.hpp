@@ -1,5 +1,5 @@
-// Persistent contacts as the rows of smooth steps: what sticks has three, what slides or has no friction one. Joints with
-// friction that stick have one.
+// Persistent contacts as the rows of smooth steps: what sticks has three, what slides or has no friction one. Joints
+// with friction that stick have one.
 //
 // A material point sticks where its displacement on the other surface stays zero. Surfaces that roll on each other have
 // no such displacement: the velocity of their slip is zero.

@@ -18,8 +18,8 @@ class SwitchFunctions {
  public:
   virtual ~SwitchFunctions() = default;
   virtual int count() const = 0;
-  // Their values at a state of the step, (count,), after the part `at` of it: positive where the branches hold. In units
-  // of the sizes of their terms, so that rounding is some 1e-16.
+  // Their values at a state of the step, (count,), after the part `at` of it: positive where the branches hold. In
+  // units of the sizes of their terms, so that rounding is some 1e-16.
   virtual void evaluate(double at, const VecX& q, const VecX& v, VecRef values) = 0;
   // Whether a function may be zero for a while and its branch hold: it ends where the function is negative.
   virtual bool may_stay_zero(int) const { return false; }

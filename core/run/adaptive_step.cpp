@@ -140,7 +140,8 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
     const DensePhase dense = state_.dense;
     const double step_start = section.begin + in_section * h;
     if (has_servos) actuation_.set(no_force, steps.target, 0, state_.q, state_.p);
-    const bool made = advance_interval(step_start, h, has_servos ? actuation_.force() : no_force, recording), solved = made || truncation_.too_long;
+    const bool made = advance_interval(step_start, h, has_servos ? actuation_.force() : no_force, recording),
+               solved = made || truncation_.too_long;
     truncation_.limited = false;
     const StatusCode code = state_.status.code;
     const bool retry = code == StatusCode::kNewtonFailed || code == StatusCode::kEventUnresolved ||

@@ -15,10 +15,10 @@ constexpr double kClosed = 1e-10;  // of the speeds: a contact whose normal spee
 constexpr double kBegins = 1e-7;
 // Switch functions are known to rounding of 1e-12 by their finder; continuous forces to this times as much.
 constexpr double kCoarse = 1e3;
-// Of the larger one of two forces, or of the cone: a force that is extrapolated to less, or comes closer, may reach zero
-// or the cone in the step.
+// Of the larger one of two forces, or of the cone: a force that is extrapolated to less, or comes closer, may reach
+// zero or the cone in the step.
 constexpr double kFalling = 0.35, kInside = 0.8;
-constexpr double kBegun = 1e-9;  // of the speeds: the path of a step knows no slower slip that begins with it
+constexpr double kBegun = 1e-9;     // of the speeds: the path of a step knows no slower slip that begins with it
 constexpr double kTogether = 1e-6;  // of the forces: contacts whose margins differ less slip together
 constexpr double kParadox = 1e-6;   // of G_nn: a sliding contact with a smaller A is left to contact steps
 }  // namespace
@@ -392,8 +392,8 @@ void ContactModes::commit(double time, long step, const VecX& q1, bool wanted, R
                              : j >= 0    ? ContactMode::kSlips
                                          : ContactMode::kSticks;
     recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, step,
-                            0.5 * (end.contact.point_a + end.contact.point_b), end.contact.normal,
-                            0.5 * held_[i].world, 0.5 * held_[i].world, end.contact.gap, c.slip, held_[i].work);
+                            0.5 * (end.contact.point_a + end.contact.point_b), end.contact.normal, 0.5 * held_[i].world,
+                            0.5 * held_[i].world, end.contact.gap, c.slip, held_[i].work);
   }
   step_->leave();
   step_->follow(rows.end_velocity());

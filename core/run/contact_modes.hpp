@@ -1,9 +1,9 @@
 // What persistent contacts do in smooth steps: which of them stick and which slide, and where that ends.
 //
-// In a smooth step the contacts are rows that hold from its start to its end (contact/persistent_rows.hpp). A phase ends
-// where the continuous force of a contact comes to zero, where it leaves its friction cone, or where a slip comes to
-// rest. Continuous forces are those of accelerations (ContactStep::forces_at), which are exact at any state: impulses of
-// a step tell forces to order s only, and where contacts share a load not at all.
+// In a smooth step the contacts are rows that hold from its start to its end (contact/persistent_rows.hpp). A phase
+// ends where the continuous force of a contact comes to zero, where it leaves its friction cone, or where a slip comes
+// to rest. Continuous forces are those of accelerations (ContactStep::forces_at), which are exact at any state:
+// impulses of a step tell forces to order s only, and where contacts share a load not at all.
 #pragma once
 
 #include <vector>
@@ -46,8 +46,8 @@ class ContactModes final : public SwitchFunctions {
     End end;
   };
   const Ending& ending(int function) const { return endings_[static_cast<std::size_t>(function)]; }
-  // Contact i begins to slip, or comes to rest, at the state where evaluate() was called last, at this time [s]; with it
-  // all others that are as far.
+  // Contact i begins to slip, or comes to rest, at the state where evaluate() was called last, at this time [s]; with
+  // it all others that are as far.
   void begin_slip(std::size_t i, double time, Recording& recording);
   void come_to_rest(std::size_t i, const VecX& v, double time, Recording& recording);
   void begin_joint_slip(std::size_t k);

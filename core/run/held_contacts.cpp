@@ -17,8 +17,7 @@ constexpr double kAtOnce = 1e-9;          // [s] of 1 s + t: spans follow each o
 
 // Whether steps keep more than the constraints: persistent contacts, joint friction.
 bool Simulator::has_phase() const {
-  return !contact_step_.contacts().empty() ||
-         (keeps_constraints_ && !scene_->tree.elements.friction_dofs.empty());
+  return !contact_step_.contacts().empty() || (keeps_constraints_ && !scene_->tree.elements.friction_dofs.empty());
 }
 
 bool Simulator::may_hold_contacts(double time) const {

@@ -197,7 +197,8 @@ double error_share(const KeptRun& companion, const KeptRun& found, int power, do
       const double middle = s.t[k] + 0.5 * s.h[k];
       const std::ptrdiff_t at = std::upper_bound(begins.begin(), begins.end(), middle) - begins.begin() - 1;
       const double unit = lengths[static_cast<std::size_t>(std::max<std::ptrdiff_t>(at, 0))];
-      const double weight = s.persistent[k] == Segments::kContactStep ? std::pow(s.h[k] / dt_contact, 3) : std::pow(s.h[k] / unit, power);
+      const double weight =
+          s.persistent[k] == Segments::kContactStep ? std::pow(s.h[k] / dt_contact, 3) : std::pow(s.h[k] / unit, power);
       sum[static_cast<std::size_t>(std::lower_bound(impacts.begin(), impacts.end(), middle) - impacts.begin())] +=
           weight;
     }

@@ -26,8 +26,8 @@ bool dissipates(const Tree& tree) {
 
 }  // namespace
 
-// Order 2 is that of contact steps, and so are steps whose derivatives are wanted. Implicit maps solve steps of their own,
-// which know no joint friction but that of contact steps.
+// Order 2 is that of contact steps, and so are steps whose derivatives are wanted. Implicit maps solve steps of their
+// own, which know no joint friction but that of contact steps.
 bool keeps_constraints(const Tree& tree, const SimulatorOptions& options) {
   return options.stages > 1 && !options.gradient &&
          (tree.elements.friction_dofs.empty() || options.impact == ImpactMap::kCtec);
@@ -324,8 +324,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const bool phase = !contact_step_.empty() || has_phase();
     if (phase) state_.watch.known = false;  // friction takes energy there
     const long before = state_.impacts;
-    const bool going =
-        phase ? advance_contact(interval, halved, recording) : advance_free(interval, halved, recording);
+    const bool going = phase ? advance_contact(interval, halved, recording) : advance_free(interval, halved, recording);
     modes_.end_step();
     if (!branches_.none()) branches_.end_step();
     count_saturated();
@@ -502,13 +501,8 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   state_.q = event.q;
   state_.p = event.p;
   if (!holds) law_->evaluate_before(free_state(at + before, interval.length), before, state_.step, state_.reference);
-  const Instant instant{at + before,
-                        holds ? 0.0 : before,
-                        interval.remaining,
-                        interval.length,
-                        interval.tau,
-                        state_.step,
-                        holds ? nullptr : &integrator_};
+  const Instant instant{at + before, holds ? 0.0 : before,          interval.remaining, interval.length, interval.tau,
+                        state_.step, holds ? nullptr : &integrator_};
   if (!resolve_event(event.guard, event.stays_closed, instant, recording)) return false;
   StepControl& control = state_.control;
   if (before < StepControl::kShortest * shortest_nominal_step() && zeno_.impacted().empty()) {

@@ -165,9 +165,10 @@ class Simulator {
     double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
   };
   // Of run_auto: the bound on the truncation (0 in advance), the largest one in the interval [m; rad], the longest
-  // smooth step that converges, the longest contact step that could be solved and the present length [s], the most stage iterations of a
-  // smooth step of the interval, and AutoSteps::after_impact. limited: a smooth step above the bound is given up, the
-  // interval with it; too_long: one was, first: as the first part of the interval, so that nothing has been done in it.
+  // smooth step that converges, the longest contact step that could be solved, the present length [s], the most stage
+  // iterations of a smooth step of the interval, and AutoSteps::after_impact. limited: a smooth step above the bound is
+  // given up, the interval with it; too_long: one was, first: as the first part of the interval, so that nothing has
+  // been done in it.
   struct Truncation {
     double bound = 0, largest = 0, longest_dt = 0, longest_contact = 0, length = 0;
     long iterations = 0;

@@ -57,8 +57,12 @@ class Integrator final : public Stepper, public StepEquations {
     return StepEquations::node_velocity(q, p, v);
   }
   double discrete_energy() override { return StepEquations::discrete_energy(); }
-  double work() const override { return StepEquations::work() + (keeps_rows_ ? constraints_->work() + constraints_->load_work() : 0.0); }
-  double mean_work() const override { return StepEquations::mean_work() + (keeps_rows_ ? constraints_->mean_work() : 0.0); }
+  double work() const override {
+    return StepEquations::work() + (keeps_rows_ ? constraints_->work() + constraints_->load_work() : 0.0);
+  }
+  double mean_work() const override {
+    return StepEquations::mean_work() + (keeps_rows_ ? constraints_->mean_work() : 0.0);
+  }
   double length() const { return h_; }  // of the step just solved [s]
   // Those of the step just solved; null: it has none.
   const StageConstraints* constraints() const { return keeps_rows_ ? constraints_.get() : nullptr; }

@@ -18,23 +18,23 @@ constexpr double kRedundant = 1e-10;
 // conditions at s nodes multiply it by up to about s^2.
 constexpr double kRounding = 1e-15;
 constexpr double kTurns = 1e-15;       // [rad] to which the charts of spherical joints belong to their velocities
+constexpr double kAlike = 1e-6;        // of unit vectors: directions of forces that differ by less are the same
 constexpr double kIndependent = 1e-7;  // relative pivot above which no such row is looked for
 constexpr double kZeroRow = 1e-20;     // share of the largest diagonal below which a row is rounding
 // [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
-constexpr double kFarTurn = 0.5;        // [rad] by which an iteration changes the direction of a slip at most
+constexpr double kFarTurn = 0.5;  // [rad] by which an iteration changes the direction of a slip at most
 // Of what friction answers to a turn of its direction, as a slip: where the slip is as far beyond its end the direction
 // is no longer found from it. At all of it the equation is singular.
 constexpr double kTurned = 0.5;
-constexpr int kMostTurns = 3;           // see find_slips
-constexpr int kEndIterations = 30;      // of Newton's method on the impulse at the end, where contacts slide
-// Of the speeds: what a change of direction moves that is rounding, and from which on rounding may keep it from becoming
-// less.
+constexpr int kMostTurns = 3;       // see find_slips
+constexpr int kEndIterations = 30;  // of Newton's method on the impulse at the end, where contacts slide
+// Of the speeds: what a change of direction moves that is rounding, and from which on rounding may keep it from
+// becoming less.
 constexpr double kEndExact = 1e-16, kEndNear = 1e-13;
 }  // namespace
 
-StageConstraints::Node::Node(const Tree& tree)
-    : q(tree.nq), X(VecX::Zero(tree.nv)), at(tree) {}
+StageConstraints::Node::Node(const Tree& tree) : q(tree.nq), X(VecX::Zero(tree.nv)), at(tree) {}
 
 StageConstraints::StageConstraints(const Tree& tree, int stages)
     : tree_(&tree),
@@ -444,25 +444,21 @@ void StageConstraints::factor_matrix() {
   factor_.compute(used_matrix_);
 }
 
+// Impulses that change no row's velocity are those whose forces do nothing where the dependences of the forces are
+// those of the rows; with friction along slips of several directions they may do something.
 bool StageConstraints::slides_share_load() const {
   if (!redundant_ || slides_ == 0) return false;
-  const MatX& W = nodes_[0].W;
-  std::vector<int> others;
-  for (int r = 0; r < rows_; ++r) {
-    bool slides = false;
-    for (const PhaseRows::Slide& slide : phase_->slides()) slides = slides || fixed_ + slide.normal == r;
-    if (!slides) others.push_back(r);
-  }
-  const auto redundant = [](MatX rows) {
-    if (rows.cols() == 0) return Eigen::Index{0};
-    for (Eigen::Index r = 0; r < rows.cols(); ++r)
-      if (const double size = rows.col(r).norm(); size > 0.0) rows.col(r) /= size;
+  const auto rank = [](MatX columns) {
+    for (Eigen::Index r = 0; r < columns.cols(); ++r)
+      if (const double size = columns.col(r).norm(); size > 0.0) columns.col(r) /= size;
     Eigen::ColPivHouseholderQR<MatX> factor;
-    factor.setThreshold(kRedundant);
-    factor.compute(rows);
-    return rows.cols() - factor.rank();
+    factor.setThreshold(kAlike);
+    factor.compute(columns);
+    return factor.rank();
   };
-  return redundant(W) > redundant(W(Eigen::all, others));
+  for (const Node* node : {&nodes_.front(), &nodes_.back()})
+    if (rank(node->F) > rank(node->W)) return true;
+  return false;
 }
 
 // Sets the change of the unknowns that takes the residuals away. Where rows share a load the impulses are the least
@@ -539,8 +535,7 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
   for (int i = 0; i < stages_; ++i) stages.set_error(i, errors[i]);
   for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
   for (int k = 1; k < stages_ && slides_ > 0; ++k) {
-    for (int j = 0; j < slides_; ++j)
-      angles_(j, k) += std::clamp(change_[direction_at(k, j)], -kFarTurn, kFarTurn);
+    for (int j = 0; j < slides_; ++j) angles_(j, k) += std::clamp(change_[direction_at(k, j)], -kFarTurn, kFarTurn);
     direct(nodes_[k], k);
   }
   add_impulses();

@@ -8,11 +8,11 @@
 // impulses change by what the linearised conditions ask for, and the velocities with them. The last one is found after
 // that. On spherical joints all of this stands in the chart, of whose gradients W_k are made (ball_chart.hpp).
 //
-// Rolling has rows without a phi: W(q_i)^T v_i = 0 at the stages instead, with impulses at the nodes as well, and at the
-// end. The impulses of a sliding contact act along F_k = W_n - mu W_t d_k, d_k the direction of its slip at the node,
-// which is an unknown, too: the slip across it is zero. Velocities at nodes inside of the step are those of the path
-// raised by the velocities at both ends (path.hpp): those of the stages' polynomial alone would cost two orders where
-// the slip turns.
+// Rolling has rows without a phi: W(q_i)^T v_i = 0 at the stages instead, with impulses at the nodes as well, and at
+// the end. The impulses of a sliding contact act along F_k = W_n - mu W_t d_k, d_k the direction of its slip at the
+// node, which is an unknown, too: the slip across it is zero. Velocities at nodes inside of the step are those of the
+// path raised by the velocities at both ends (path.hpp): those of the stages' polynomial alone would cost two orders
+// where the slip turns.
 //
 // With one stage this is the midpoint rule in RATTLE form. Order 2s, symmetric, and symplectic without friction: Jay,
 // "Specialized partitioned additive Runge-Kutta methods for systems of overdetermined DAEs with holonomic constraints",
@@ -68,8 +68,8 @@ class StageConstraints {
   auto impulses() const { return sum_.head(fixed_); }
   double work() const { return work_; }
   double mean_work() const { return mean_work_ + 0.5 * load_work_; }
-  // Of the rows of the phase: their impulses (count, s + 1) at the nodes; per sliding contact and node, (slides, s + 1),
-  // the direction of its slip as an angle from the first tangent, and the slip along it [m/s].
+  // Of the rows of the phase: their impulses (count, s + 1) at the nodes; per sliding contact and node,
+  // (slides, s + 1), the direction of its slip as an angle from the first tangent, and the slip along it [m/s].
   auto phase_impulses() const { return lambda_.bottomRows(rows_ - fixed_); }
   const MatX& slip_angles() const { return angles_; }
   const MatX& slips() const { return slips_; }
@@ -131,16 +131,16 @@ class StageConstraints {
   PhaseRows* phase_ = nullptr;
   const VecX* load_ = nullptr;
   const LobattoTable* table_;
-  int fixed_, rows_, stages_;    // rows of the constraints, of all, of the stages
+  int fixed_, rows_, stages_;     // rows of the constraints, of all, of the stages
   int slides_ = 0, rolling_ = 0;  // sliding contacts, rows of velocities
   VecX q0_, p0_, p_start_, impulse_;
   double h_ = 0.0;
   std::vector<Node> nodes_;  // s + 1
   MatX lambda_;              // (m, s + 1)
   MatX angles_, slips_;      // (slides, s + 1)
-  MatX answers_;             // of the same shape: what friction answers across the slip to a turn of its direction, <= 0
-  // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps the
-  // direction of the node before it, so that the equations stay smooth beyond the place where the slip ends.
+  MatX answers_;  // of the same shape: what friction answers across the slip to a turn of its direction, <= 0
+  // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps
+  // the direction of the node before it, so that the equations stay smooth beyond the place where the slip ends.
   std::vector<int> turns_;
   MatX to_nodes_;            // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
   MatX at_nodes_;            // (s, s): rates at the stages -> those of their polynomial at the nodes after the first
@@ -150,7 +150,7 @@ class StageConstraints {
   MatX stage_rates_;
   VecX v0_, q_stage_, X_stage_, phi_, v_node_;
   bool changed_turns_ = false;  // since the matrix was made
-  bool knows_end_ = false;  // whether v1_ is near the velocity at the end of this step
+  bool knows_end_ = false;      // whether v1_ is near the velocity at the end of this step
   // Per unknown, all stages: what a unit of it gives their momenta, and with D^-1 their velocities.
   std::vector<AlignedArray> given_, moved_;
   AlignedArray kept_, changed_;
