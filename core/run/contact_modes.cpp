@@ -26,11 +26,6 @@ constexpr double kParadox = 1e-6;   // of G_nn: a sliding contact with a smaller
 ContactModes::ContactModes(const Scene& scene, Guards& guards, ContactStep& step, Integrator& integrator)
     : scene_(&scene), guards_(&guards), step_(&step), integrator_(&integrator), rows_(guards, scene.tree.nv) {}
 
-void ContactModes::end_step() {
-  if (active_) integrator_->hold(nullptr);
-  active_ = watches_ = false;
-}
-
 bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
   if (!step_->modes_known() && !find_modes(q, v, t, tau, recording)) return false;

@@ -24,7 +24,10 @@ class ContactModes final : public SwitchFunctions {
   // reason may be that forces were not found, or that no force keeps a sliding contact closed.
   bool begin_step(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording);
   // The next smooth steps hold no contacts.
-  void end_step();
+  void end_step() {
+    if (active_) integrator_->hold(nullptr);
+    active_ = watches_ = false;
+  }
   bool active() const { return active_; }
 
   // The step of length h from q0 was solved to q1: whether its contacts are still those of the features that touch, and

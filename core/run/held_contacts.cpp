@@ -15,11 +15,6 @@ constexpr double kLongestSpan = 64.0;     // lengths of contact steps that are m
 constexpr double kAtOnce = 1e-9;          // [s] of 1 s + t: spans follow each other
 }  // namespace
 
-// Whether steps keep more than the constraints: persistent contacts, joint friction.
-bool Simulator::has_phase() const {
-  return !contact_step_.contacts().empty() || (keeps_constraints_ && !scene_->tree.elements.friction_dofs.empty());
-}
-
 bool Simulator::may_hold_contacts(double time) const {
   return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }

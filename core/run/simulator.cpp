@@ -38,6 +38,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       options_(options),
       law_(&impact_law(options.impact)),
       keeps_constraints_(keeps_constraints(scene.tree, options)),
+      keeps_joint_friction_(keeps_constraints_ && !scene.tree.elements.friction_dofs.empty()),
       dissipative_(dissipates(scene.tree)),
       does_work_(scene_does_work()),
       integrator_(scene.tree, options.stages, options.tol, options.max_iterations, keeps_constraints_),
@@ -392,7 +393,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   }
   if (holds) modes_.take_step(h, v_, interval.tau);
   bool switches = false;  // the step is to end where a branch does
-  if (all_switches_.count() > 0) {
+  if (branches_.count() > 0 || modes_.count() > 0) {
     const Search found = switches_.search(state_.q, state_.p, v_, q1_, p1_, h, interval.tau);
     if (found != Search::kNone) integrator_.forget();
     if (found == Search::kFound) {

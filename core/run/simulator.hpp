@@ -226,7 +226,8 @@ class Simulator {
   void recall(const EngineMemory& memory);
 
   // held_contacts.cpp: persistent contacts in smooth steps.
-  bool has_phase() const;
+  // Whether steps keep more than the constraints: persistent contacts, joint friction.
+  bool has_phase() const { return keeps_joint_friction_ || !contact_step_.contacts().empty(); }
   bool may_hold_contacts(double time) const;
   bool is_near_contact_step(double h) const;
   bool leave_to_contact_steps(double time);
@@ -278,7 +279,8 @@ class Simulator {
   const Scene* scene_;
   SimulatorOptions options_;
   const ImpactLaw* law_;
-  const bool keeps_constraints_;  // keeps_constraints()
+  const bool keeps_constraints_;     // keeps_constraints()
+  const bool keeps_joint_friction_;  // there is some, in smooth steps
   bool dissipative_, does_work_;  // whether some force dissipates energy; whether any but gravity and springs does work
   RunState state_;
   Integrator integrator_;
