@@ -2,10 +2,13 @@
 
 #include <cmath>
 
+#include "geometry/line_contact.hpp"
+
 namespace contactvi {
 
 namespace {
 constexpr double kStill = 1e-11;  // of the speeds: slip below it has no direction
+constexpr double kSwing = 0.95;   // cosine of the angle by which the point of a rim may run around between two nodes
 }  // namespace
 
 void PersistentRows::set(const std::vector<PersistentContact>& contacts, const std::vector<FrictionJoint>& joints,
@@ -57,6 +60,9 @@ void PersistentRows::place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<M
     const PersistentContact& c = (*contacts_)[i];
     Site& site = sites[i];
     geometry_.evaluate(c.point, site.contact);
+    const Placements& at = guards_->placements(c.point.guard);
+    site.side = Manifolds::side_of_rim(c.point, at);
+    site.along = guards_->manifolds().place_along(c.point, at, site.contact);
     if (place == 0) {
       site.t1 = geometry_.start_tangent(c, site.contact);
       if (c.point.material) references_[i] = geometry_.reference(c);
@@ -89,6 +95,18 @@ void PersistentRows::place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<M
     W(joint.dof, r) = 1.0;
     phi[r] = joint.iq >= 0 ? q[joint.iq] - joint.anchor : 0.0;
   }
+}
+
+bool PersistentRows::runs_far(int nodes) const {
+  for (std::size_t i = 0; i < contacts_->size(); ++i) {
+    const ContactPoint& point = (*contacts_)[i].point;
+    for (int k = 1; k < nodes; ++k) {
+      const Site &a = site(k - 1, i), &b = site(k, i);
+      if (point.kind == PointKind::kRim && a.side.dot(b.side) < kSwing) return true;
+      if (guards_->manifolds().run(point, a.along, b.along) > kMostRun) return true;
+    }
+  }
+  return false;
 }
 
 double PersistentRows::start_angle(int slide, const Eigen::Vector2d& slip, double speed) const {

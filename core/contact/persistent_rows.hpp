@@ -36,10 +36,15 @@ class PersistentRows final : public PhaseRows {
   struct Site {
     Contact contact;
     Vec3 t1;
+    Vec3 side;              // of a rim: direction from its centre to the point, world
+    Eigen::Vector2d along;  // see Manifolds::place_along
     Vec3 world(double n, double t, double s) const {
       return n * contact.normal + t * t1 + s * contact.normal.cross(t1);
     }
   };
+  // Whether a point runs so far between two nodes of the step, around a rim or along lines, that its gap between them
+  // is not that of their polynomial.
+  bool runs_far(int nodes) const;
   const Site& site(int place, std::size_t i) const { return sites_[static_cast<std::size_t>(place)][i]; }
 
  private:

@@ -105,6 +105,7 @@ bool ContactModes::is_paradox(std::size_t i) const {
 }
 
 bool ContactModes::fits(const VecX& q1) {
+  if (rows_.runs_far(integrator_->stages() + 1)) return false;
   guards_->place(q1);
   for (const PersistentContact& c : step_->contacts()) {
     if (c.point.kind == PointKind::kWitness || c.point.kind == PointKind::kLimit) continue;

@@ -12,7 +12,10 @@ namespace contactvi {
 namespace {
 constexpr double kNearContactStep = 2.0;  // lengths of contact steps: smooth steps that fail are not halved below it
 constexpr double kLongestSpan = 64.0;     // lengths of contact steps that are made one after the other
-constexpr double kAtOnce = 1e-9;          // [s] of 1 s + t: spans follow each other
+// Of the energies at both ends: a step that is off by more has not resolved its motion. Methods of order 4 with steps
+// of half a radian are off by some 1e-4. And what rounding makes.
+constexpr double kResolved = 1e-3, kEnergyRounding = 1e-12;
+constexpr double kAtOnce = 1e-9;  // [s] of 1 s + t: spans follow each other
 }  // namespace
 
 bool Simulator::may_hold_contacts(double time) const {
@@ -40,6 +43,16 @@ bool Simulator::shorten_held_step(double h, double time) {
   integrator_.forget();
   state_.control.halve_free(h);
   return true;
+}
+
+// Of a step just solved, from the state with the velocity v_ to q1_, p1_: whether its energy changes by its work alone,
+// but for an error that the motion it resolves would not have.
+bool Simulator::held_step_keeps_energy() {
+  const double T0 = 0.5 * state_.p.dot(v_), T1 = 0.5 * p1_.dot(integrator_.constraints()->end_velocity());
+  const double V0 = potential(state_.q), V1 = potential(q1_);
+  const double change = T1 + V1 - T0 - V0 - integrator_.work() - modes_.friction_work();
+  return std::abs(change) <=
+         kResolved * (T0 + T1 + std::abs(V1 - V0)) + kEnergyRounding * (std::abs(V0) + std::abs(V1));
 }
 
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.

@@ -380,7 +380,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     return true;
   }
   if (holds && modes_.is_undetermined()) return leave_to_contact_steps(at);
-  if (holds && !modes_.fits(q1_)) return shorten_held_step(h, at);
+  if (holds && (!modes_.fits(q1_) || !held_step_keeps_energy())) return shorten_held_step(h, at);
   // Adaptive steps are as short as their stages need; an implicit map has its own energy, and an impulse for the whole
   // step.
   if (truncation_.bound == 0.0 && !last_try && !law_->implicit() &&
