@@ -68,7 +68,7 @@ class Contact:
         mode: "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
         dense: whether the step is a dense one (contactvi.records.dense_steps).
         position: of the point at the end of the step [m], normal : unit, from the first shape to the second, both in
-            world axes, shape (3,); zero for a limit.
+            world axes, shape (3,); zero for a limit. A smooth step that holds contacts has the mean of its normals.
         impulse: on the second shape [N s], friction included, world axes, shape (3,); of a limit its first component.
         force: impulse / h [N], shape (3,): the mean over the step; NaN for an impact.
         gap: at the end [m; rad].

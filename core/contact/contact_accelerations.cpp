@@ -161,32 +161,4 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
   return out.f.allFinite() && out.a.allFinite() && out.scale > 0.0;
 }
 
-bool ContactStep::share_impulses(StepEquations& equations, const VecCRef& q, const std::vector<Vec3>& directions,
-                                 VecX& impulses) {
-  leave();
-  start_node(q);
-  const int first = bilateral_ + friction_rows_, rows = rows_ - first;
-  equations.place_node(q);
-  MatX MinvW = node0_.W.rightCols(rows);
-  equations.solve_masses(MinvW);
-  const MatX G = node0_.W.rightCols(rows).transpose() * MinvW;
-  std::vector<ConeContact> cones(cones_.begin() + friction_rows_, cones_.end());
-  for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    cones[i].row -= friction_rows_;
-    cones[i].frozen = cones[i].rows == 3 && !contacts_[i].sticks;
-    const Vec3& t1 = node0_.t1[i];
-    if (cones[i].frozen)
-      cones[i].d =
-          Eigen::Vector2d(directions[i].dot(t1), directions[i].dot(node0_.at[i].normal.cross(t1))).normalized();
-  }
-  const VecX b = -(G * impulses);
-  VecX shared = impulses;
-  const double noise = kAgree * b.cwiseAbs().maxCoeff();
-  if (!solve_cone({cones, G, b, noise, 0.0, kAgree, scene_->tree.nv}, shared, true) ||
-      !((b + G * shared).cwiseAbs().maxCoeff() <= noise))
-    return false;
-  impulses = shared;
-  return true;
-}
-
 }  // namespace contactvi

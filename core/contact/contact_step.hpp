@@ -150,10 +150,6 @@ class ContactStep final : public Stepper {
   };
   bool forces_at(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, const VecX& tau,
                  const std::vector<Vec3>& directions, Forces& out);
-  // Impulses of the contacts (their rows one after the other) that act as the given ones do at q, and that each contact
-  // may have: where they share a load, others may not be told from these. Contacts that slide do so along `directions`.
-  // False: there are none.
-  bool share_impulses(StepEquations& equations, const VecCRef& q, const std::vector<Vec3>& directions, VecX& impulses);
   // Of its rows: the first one of a contact, their Delassus matrix, and tangents of contact i.
   int row(std::size_t i) const { return row_[i]; }
   const MatX& force_matrix() const { return G_end_; }

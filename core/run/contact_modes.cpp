@@ -19,6 +19,7 @@ constexpr double kCoarse = 1e3;
 // zero or the cone in the step.
 constexpr double kFalling = 0.35, kInside = 0.8;
 constexpr double kBegun = 1e-9;     // of the speeds: the path of a step knows no slower slip that begins with it
+constexpr double kAdmitted = 1e-9;  // of the largest impulse: by how much others may leave their cones
 constexpr double kTogether = 1e-6;  // of the forces: contacts whose margins differ less slip together
 constexpr double kParadox = 1e-6;   // of G_nn: a sliding contact with a smaller A is left to contact steps
 }  // namespace
@@ -324,44 +325,48 @@ void ContactModes::sum_impulses(std::size_t i, Held& held) const {
       impulse.tail<2>() = rows.phase_impulses().block(r + 1, k, 2, 1);
     }
     held.local += impulse;
+    held.normal += impulse[0] * rows_.site(k, i).contact.normal;
     held.world += rows_.site(k, i).world(impulse[0], impulse[1], impulse[2]);
   }
 }
 
-// Where contacts share a load the least impulses that a step takes may pull; others that act like them do not.
-void ContactModes::share_impulses(const VecX& q1) {
+bool ContactModes::admits() {
   const std::vector<PersistentContact>& contacts = step_->contacts();
-  const int s = integrator_->stages();
-  VecX all(0);
+  held_.resize(contacts.size());
+  double largest = 0.0;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
-    const int rows = contacts[i].rows();
-    all.conservativeResize(all.size() + rows);
-    all.tail(rows) = held_[i].local.head(rows);
-    const int j = rows_.slide(i);
-    if (j < 0) continue;
-    const double angle = integrator_->constraints()->slip_angles()(j, s);
-    directions_[i] = rows_.site(s, i).world(0.0, std::cos(angle), std::sin(angle));
+    sum_impulses(i, held_[i]);
+    largest = std::max(largest, held_[i].local.norm());
   }
-  if (!step_->share_impulses(*integrator_, q1, directions_, all)) return;
-  Eigen::Index at = 0;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
-    const int rows = contacts[i].rows();
-    held_[i].local.setZero();
-    held_[i].local.head(rows) = all.segment(at, rows);
-    held_[i].world = rows_.site(s, i).world(held_[i].local[0], held_[i].local[1], held_[i].local[2]);
-    at += rows;
+    const Vec3& impulse = held_[i].local;
+    const double slack = kAdmitted * largest;
+    if (impulse[0] < -slack) return false;
+    if (contacts[i].sticks && impulse.tail<2>().norm() > contacts[i].mu * std::max(0.0, impulse[0]) + slack)
+      return false;
   }
+  return true;
 }
 
-void ContactModes::commit(double time, long step, const VecX& q1, bool wanted, Recording& recording) {
+// The mean normal of a contact whose normal turns in the step: that of its normal impulses, turned on towards all of
+// the impulse, by an angle of second order, where this would leave its cone.
+Vec3 ContactModes::mean_normal(const Held& held, double mu, const Vec3& normal) {
+  const double size = held.world.norm();
+  if (!(held.normal.norm() > 0.0) || !(size > 0.0) || held.normal.dot(normal) <= 0.0) return normal;
+  const Vec3 n = held.normal.normalized(), all = held.world / size;
+  const Vec3 across = n - n.dot(all) * all;
+  const double angle = std::atan(mu), turned = std::atan2(across.norm(), n.dot(all));
+  if (turned <= angle || across.norm() == 0.0) return n;
+  return std::cos(angle) * all + std::sin(angle) * across.normalized();
+}
+
+void ContactModes::commit(double time, long step, bool wanted, Recording& recording) {
   const StageConstraints& rows = *integrator_->constraints();
   const double h = integrator_->length();
   const int s = rows.table().s;
   std::vector<PersistentContact>& contacts = step_->contacts();
   held_.resize(contacts.size());
-  directions_.resize(contacts.size());
   for (std::size_t i = 0; i < contacts.size(); ++i) sum_impulses(i, held_[i]);
-  if (rows.shares_load() && wanted) share_impulses(q1);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
     const int j = rows_.slide(i);
@@ -388,8 +393,9 @@ void ContactModes::commit(double time, long step, const VecX& q1, bool wanted, R
                              : j >= 0    ? ContactMode::kSlips
                                          : ContactMode::kSticks;
     recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, step,
-                            0.5 * (end.contact.point_a + end.contact.point_b), end.contact.normal, 0.5 * held_[i].world,
-                            0.5 * held_[i].world, end.contact.gap, c.slip, held_[i].work);
+                            0.5 * (end.contact.point_a + end.contact.point_b),
+                            mean_normal(held_[i], c.mu, end.contact.normal), 0.5 * held_[i].world, 0.5 * held_[i].world,
+                            end.contact.gap, c.slip, held_[i].work);
   }
   step_->leave();
   step_->follow(rows.end_velocity());

@@ -55,17 +55,21 @@ class ContactModes final : public SwitchFunctions {
   void come_to_rest(std::size_t i, const VecX& v, double time, Recording& recording);
   void begin_joint_slip(std::size_t k);
 
-  // The step, or the part of it that was solved last, is taken: its forces are recorded, half of each impulse at either
-  // end, and the contacts are where it ends, at q1. wanted: whether forces are wanted in the record.
-  void commit(double time, long step, const VecX& q1, bool wanted, Recording& recording);
+  // Whether the impulses of the step, or the part of it that was solved last, push and are in their cones. Those of
+  // contacts that share a load are the least ones, which need not be.
+  bool admits();
+  bool shares_load() const { return shares_; }
+  // That step is taken: its forces are recorded, half of each impulse at either end with the mean of its normals, and
+  // the contacts are where it ends. wanted: whether forces are wanted in the record.
+  void commit(double time, long step, bool wanted, Recording& recording);
 
  private:
   struct Held {
-    Vec3 local = Vec3::Zero(), world = Vec3::Zero();
+    Vec3 local = Vec3::Zero(), world = Vec3::Zero(), normal = Vec3::Zero();  // normal: of the normal impulses alone
     double work = 0.0;
   };
   void sum_impulses(std::size_t i, Held& held) const;
-  void share_impulses(const VecX& q1);
+  static Vec3 mean_normal(const Held& held, double mu, const Vec3& normal);
   bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording);
   bool is_paradox(std::size_t i) const;
   Vec3 direction(double at, std::size_t i) const;

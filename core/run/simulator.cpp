@@ -440,7 +440,8 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (found != Search::kNone) return end_failed_search(found, at);
   if (holds) {
     if (sinks_deeper(recording, at + h)) return shorten_held_step(h, at);
-    modes_.commit(at, state_.step, q1_, options_.record_contacts, recording);
+    if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : shorten_held_step(h, at);
+    modes_.commit(at, state_.step, options_.record_contacts, recording);
   }
   state_.work.add(work);
   control.flew(options_.dt);
@@ -488,7 +489,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const double at = interval.start + interval.done, before = event.alpha * h;
   const bool holds = modes_.active();
   if (before > 0.0) {
-    if (holds) modes_.commit(at, state_.step, event.q, options_.record_contacts, recording);
+    if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);

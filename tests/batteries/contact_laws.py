@@ -142,7 +142,8 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     They are those of the point at the end of the row before; NaN in the first row of a point, and, where the point is
     coal's, in a dense step and after one: each such step takes the plane between the shapes anew. Impacts have one
     normal. The first impulse of a dense step acts along the normal at its start and belongs to the gap at its end,
-    which it closes.
+    which it closes. A smooth step that holds contacts has one impulse, half of it at either end, and the mean of its
+    normals.
     """
     normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
     opened_before = np.zeros(len(log))
@@ -157,6 +158,9 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     dense = log.array("dense") == 1
     anew = after[(dense[before] | dense[after]) & (log.array("feature")[after] == 0)]
     normal[anew], gap[anew] = np.nan, np.nan
+    held = (log.h > 0.0) & ~dense & (log.array("start") == log.array("end")).all(axis=1)
+    normal[after[held[before]]] = np.nan
+    normal[held] = log.array("normal")[held]
     impact = log.h == 0.0
     normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]
     gap[dense], opened_before[dense] = log.array("gap")[dense], opened[dense]
