@@ -330,6 +330,31 @@ void ContactModes::sum_impulses(std::size_t i, Held& held) const {
   }
 }
 
+// Of contacts of one pair that stick and share a load, each has the part of the friction that it has of the load.
+void ContactModes::share_friction() {
+  const std::vector<PersistentContact>& contacts = step_->contacts();
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const int guard = contacts[i].point.guard;
+    Vec3 local = Vec3::Zero(), world = Vec3::Zero();
+    double load = 0.0;
+    bool sticks = i == 0 || contacts[i - 1].point.guard != guard;  // once for each pair
+    for (std::size_t k = 0; k < contacts.size(); ++k) {
+      if (contacts[k].point.guard != guard) continue;
+      sticks = sticks && contacts[k].mu > 0.0 && contacts[k].sticks && held_[k].local[0] >= 0.0;
+      load += held_[k].local[0];
+      local += held_[k].local;
+      world += held_[k].world - held_[k].normal;
+    }
+    if (!sticks || !(load > 0.0)) continue;
+    for (std::size_t k = 0; k < contacts.size(); ++k) {
+      if (contacts[k].point.guard != guard) continue;
+      const double part = held_[k].local[0] / load;
+      held_[k].local.tail<2>() = part * local.tail<2>();
+      held_[k].world = held_[k].normal + part * world;
+    }
+  }
+}
+
 bool ContactModes::admits() {
   const std::vector<PersistentContact>& contacts = step_->contacts();
   held_.resize(contacts.size());
@@ -338,6 +363,7 @@ bool ContactModes::admits() {
     sum_impulses(i, held_[i]);
     largest = std::max(largest, held_[i].local.norm());
   }
+  if (shares_) share_friction();
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const Vec3& impulse = held_[i].local;
     const double slack = kAdmitted * largest;
@@ -365,8 +391,7 @@ void ContactModes::commit(double time, long step, bool wanted, Recording& record
   const double h = integrator_->length();
   const int s = rows.table().s;
   std::vector<PersistentContact>& contacts = step_->contacts();
-  held_.resize(contacts.size());
-  for (std::size_t i = 0; i < contacts.size(); ++i) sum_impulses(i, held_[i]);
+  admits();
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
     const int j = rows_.slide(i);

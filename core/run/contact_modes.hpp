@@ -69,6 +69,7 @@ class ContactModes final : public SwitchFunctions {
     double work = 0.0;
   };
   void sum_impulses(std::size_t i, Held& held) const;
+  void share_friction();
   static Vec3 mean_normal(const Held& held, double mu, const Vec3& normal);
   bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording);
   bool is_paradox(std::size_t i) const;
