@@ -439,6 +439,9 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   }
   if (found != Search::kNone) return end_failed_search(found, at);
   if (holds) {
+    // The search may have solved parts of the step: its impulses are to be those of the whole.
+    if (integrator_.length() != h && !integrator_.solve_part(path_, 1.0, state_.q, state_.p, interval.tau))
+      return shorten_held_step(h, at);
     if (sinks_deeper(recording, at + h)) return shorten_held_step(h, at);
     if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : shorten_held_step(h, at);
     modes_.commit(at, state_.step, options_.record_contacts, recording);
