@@ -57,6 +57,26 @@ bool ContactStep::accelerations(StepEquations& equations, const VecCRef& q, cons
   return b_.allFinite();
 }
 
+// The rows at node0_, where the equations hold the mass matrix, and their velocities.
+void ContactStep::set_force_rows(StepEquations& equations, const VecCRef& v) {
+  node1_ = node0_;
+  MinvW_ = node1_.W;
+  equations.solve_masses(MinvW_);
+  delassus(node1_.W, MinvW_, G_end_);
+  w_end_.noalias() = node1_.W.transpose() * v;
+  w_end_.head(bilateral_) += node1_.rate;
+}
+
+// The forces in force_cones_ for the accelerations b_ without them, from start values.
+bool ContactStep::solve_forces(VecX& f) {
+  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
+  if (!solve_rows(force_cones_, G_end_, b_, kNoise * b_.cwiseAbs().maxCoeff(), f, true, {0.0, kAgree})) return false;
+  double stiffest = 0.0;
+  for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
+  force_scale_ = stiffest > 0.0 ? std::max(scene_->tree.gravity.norm() / stiffest, f.cwiseAbs().maxCoeff()) : 0.0;
+  return true;
+}
+
 bool ContactStep::force_problem(VecX& value) {
   const double still = kStill * (1.0 + v1_.cwiseAbs().maxCoeff());
   for (int k = 0; k < friction_rows_; ++k) {
@@ -74,13 +94,8 @@ bool ContactStep::force_problem(VecX& value) {
     cone.d = Eigen::Vector2d(out.slip_W.dot(out.t1), out.slip_W.dot(out.t2)).normalized();
   }
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
-  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
-  if (!solve_rows(force_cones_, G_end_, b_, kNoise * b_.cwiseAbs().maxCoeff(), change_, true, {0.0, kAgree}))
-    return false;
+  if (!solve_forces(change_)) return false;
   b_.noalias() += G_end_ * change_;
-  double stiffest = 0.0;
-  for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
-  force_scale_ = stiffest > 0.0 ? std::max(scene_->tree.gravity.norm() / stiffest, change_.cwiseAbs().maxCoeff()) : 0.0;
   value.resize(static_cast<Eigen::Index>(contacts_.size()));
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const int r = row_[i];
@@ -102,12 +117,7 @@ bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const
   q1_ = q;
   p1_ = p;
   if (!integrator_.node_velocity(q, p, v1_)) return false;
-  node1_ = node0_;
-  MinvW_ = node1_.W;
-  integrator_.solve_masses(MinvW_);
-  delassus(node1_.W, MinvW_, G_end_);
-  w_end_.noalias() = node1_.W.transpose() * v1_;
-  w_end_.head(bilateral_) += node1_.rate;
+  set_force_rows(integrator_, v1_);
   lambda_.setZero();
   lambda_end_.setZero();
   h_ = 0.0;
@@ -121,12 +131,8 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
   leave();
   integrator_.set_time(t);
   start_node(q);
-  node1_ = node0_;
   equations.place_node(q);
-  MinvW_ = node1_.W;
-  equations.solve_masses(MinvW_);
-  delassus(node1_.W, MinvW_, G_end_);
-  w_end_.noalias() = node1_.W.transpose() * v;
+  set_force_rows(equations, v);
   if (!accelerations(equations, q, v, tau)) return false;
   const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
   force_cones_.resize(friction_rows_ + contacts_.size());
@@ -141,8 +147,7 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
     cone = cones_[friction_rows_ + i];
     cone.frozen = cone.rows == 3 && !contacts_[i].sticks;
     if (!cone.frozen) continue;
-    const Vec3& t1 = node1_.t1[i];
-    const Eigen::Vector2d known(directions[i].dot(t1), directions[i].dot(node1_.at[i].normal.cross(t1)));
+    const Eigen::Vector2d known = force_tangents(i).transpose() * directions[i];
     const Eigen::Vector2d slip = w_end_.segment<2>(row_[i] + 1);
     cone.d = slip.norm() > still ? Eigen::Vector2d((slip.dot(known) < 0.0 ? -slip : slip).normalized())
                                  : Eigen::Vector2d(known.normalized());
@@ -151,12 +156,9 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     out.f.segment(row_[i], contacts_[i].rows()) = contacts_[i].force.head(contacts_[i].rows());
   out.largest = b_.cwiseAbs().maxCoeff();
-  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
-  if (!solve_rows(force_cones_, G_end_, b_, kNoise * out.largest, out.f, true, {0.0, kAgree})) return false;
+  if (!solve_forces(out.f)) return false;
   out.a = b_ + G_end_ * out.f;
-  double stiffest = 0.0;
-  for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
-  out.scale = std::max(stiffest > 0.0 ? scene_->tree.gravity.norm() / stiffest : 0.0, out.f.cwiseAbs().maxCoeff());
+  out.scale = std::max(force_scale_, out.f.cwiseAbs().maxCoeff());
   for (const FrictionJoint& joint : friction_joints_) out.scale = std::max(out.scale, joint.limit);
   return out.f.allFinite() && out.a.allFinite() && out.scale > 0.0;
 }

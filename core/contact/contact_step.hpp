@@ -155,8 +155,11 @@ class ContactStep final : public Stepper {
   const MatX& force_matrix() const { return G_end_; }
   double force_normal_speed(std::size_t i) const { return w_end_[row_[i]]; }
   auto force_slip(std::size_t i) const { return w_end_.segment<2>(row_[i] + 1); }
-  const Vec3& force_tangent(std::size_t i) const { return node1_.t1[i]; }
-  const Contact& force_contact(std::size_t i) const { return node1_.at[i]; }
+  Eigen::Matrix<double, 3, 2> force_tangents(std::size_t i) const {
+    Eigen::Matrix<double, 3, 2> both;
+    both << node1_.t1[i], node1_.at[i].normal.cross(node1_.t1[i]);
+    return both;
+  }
   int joint_row(std::size_t k) const { return bilateral_ + static_cast<int>(k); }
   // Smooth steps have led to a state with this velocity.
   void follow(const VecX& v) { v1_ = v; }
@@ -254,6 +257,8 @@ class ContactStep final : public Stepper {
   void note_kept_directions(bool first);
   void set_outcomes();
   bool accelerations(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau);
+  void set_force_rows(StepEquations& equations, const VecCRef& v);
+  bool solve_forces(VecX& f);
   bool force_problem(VecX& value);
 
   const Scene* scene_;

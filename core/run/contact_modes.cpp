@@ -19,7 +19,6 @@ constexpr double kCoarse = 1e3;
 // zero or the cone in the step.
 constexpr double kFalling = 0.35, kInside = 0.8;
 constexpr double kBegun = 1e-9;     // of the speeds: the path of a step knows no slower slip that begins with it
-constexpr double kAdmitted = 1e-9;  // of the largest impulse: by how much others may leave their cones
 constexpr double kTogether = 1e-6;  // of the forces: contacts whose margins differ less slip together
 constexpr double kParadox = 1e-6;   // of G_nn: a sliding contact with a smaller A is left to contact steps
 }  // namespace
@@ -84,8 +83,7 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
     if (c.sticks) {
       const Eigen::Vector2d a = forces_.a.segment<2>(r + 1);
       if (!(a.norm() > begins) || !(forces_.f[r] > 0.0)) continue;
-      const Vec3& t1 = step_->force_tangent(i);
-      c.heading = (a[0] * t1 + a[1] * step_->force_contact(i).normal.cross(t1)).normalized();
+      c.heading = (step_->force_tangents(i) * a).normalized();
       c.sticks = c.anchored = false;
       directions_[i] = c.heading;
       record_change(t, c.point, Change::kSlip, 0.0, recording);
@@ -99,10 +97,8 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
 bool ContactModes::is_paradox(std::size_t i) const {
   const MatX& G = step_->force_matrix();
   const int r = step_->row(i);
-  const Vec3& t1 = step_->force_tangent(i);
-  const Vec3 d = directions_[i].normalized();
-  const double a = d.dot(t1), b = d.dot(step_->force_contact(i).normal.cross(t1));
-  return G(r, r) - step_->contacts()[i].mu * (a * G(r, r + 1) + b * G(r, r + 2)) <= kParadox * G(r, r);
+  const Eigen::Vector2d d = step_->force_tangents(i).transpose() * directions_[i].normalized();
+  return G(r, r) - step_->contacts()[i].mu * G.row(r).segment<2>(r + 1).dot(d) <= kParadox * G(r, r);
 }
 
 bool ContactModes::fits(const VecX& q1) {
@@ -198,27 +194,22 @@ bool ContactModes::joints_may_end(const StageConstraints& rows) const {
 // together is known.
 double ContactModes::stick_margin(std::size_t i) const {
   const std::vector<PersistentContact>& contacts = step_->contacts();
-  if (!shares_) return std::max(0.0, forces_.margin(step_->row(i), contacts[i].mu));
+  if (!shares_) return forces_.margin(step_->row(i), contacts[i].mu);
   double normal = 0.0;
   Vec3 friction = Vec3::Zero();
   for (std::size_t k = 0; k < contacts.size(); ++k) {
     if (contacts[k].point.guard != contacts[i].point.guard) continue;
     const int r = step_->row(k);
-    const Vec3& t1 = step_->force_tangent(k);
     normal += forces_.f[r];
-    friction += forces_.f[r + 1] * t1 + forces_.f[r + 2] * step_->force_contact(k).normal.cross(t1);
+    friction += step_->force_tangents(k) * forces_.f.segment<2>(r + 1);
   }
-  return std::max(0.0, contacts[i].mu * normal - friction.norm());
+  return contacts[i].mu * normal - friction.norm();
 }
 
-double ContactModes::friction_work() const {
+double ContactModes::friction_work() {
   if (!active_) return 0.0;
-  const StageConstraints& rows = *integrator_->constraints();
-  double work = 0.0;
-  for (std::size_t i = 0; i < step_->contacts().size(); ++i)
-    if (const int j = rows_.slide(i); j >= 0)
-      work -= step_->contacts()[i].mu * rows.phase_impulses().row(rows_.row(i)).dot(rows.slips().row(j));
-  return work;
+  impulses_.take(step_->contacts(), rows_, *integrator_->constraints());
+  return impulses_.friction_work();
 }
 
 void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef values) {
@@ -239,33 +230,31 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
     const int r = of_joint ? step_->joint_row(i) : step_->row(i);
     const double size = kCoarse * std::max(forces_.scale, largest / G(r, r));
     double& value = values[static_cast<Eigen::Index>(k)];
+    // What sticks is held up to the friction's bound, and beyond it begins to slip with an acceleration.
+    const auto holds = [&](double acceleration, double margin) {
+      return (acceleration > kBegins * largest ? -acceleration / G(r, r) : std::max(0.0, margin)) / size;
+    };
+    const auto slides = [&](double along, bool begins) {
+      along /= speed;
+      return begins ? std::copysign(std::max(0.0, std::abs(along) - kBegun), along) : along;
+    };
     switch (endings_[k].end) {
-      case End::kJointSlips: {
-        const double a = std::abs(forces_.a[r]), limit = step_->friction_joints()[i].limit;
-        value = (a > kBegins * largest ? -a / G(r, r) : std::max(0.0, limit - std::abs(forces_.f[r]))) / size;
-        break;
-      }
-      case End::kJointSticks: {
-        const FrictionJoint& joint = step_->friction_joints()[i];
-        const double along = joint.heading * v[joint.dof] / speed;
-        const bool begins = std::abs(v0_[joint.dof]) < kBegun;
-        value = begins ? std::copysign(std::max(0.0, std::abs(along) - kBegun), along) : along;
-        break;
-      }
       case End::kRelease:
         value = (forces_.f[r] > 0.0 ? forces_.f[r] : -forces_.a[r] / G(r, r)) / size;
         break;
-      case End::kSlip: {
-        const double a = forces_.a.segment<2>(r + 1).norm();
-        value = (a > kBegins * largest ? -a / G(r, r) : stick_margin(i)) / size;
+      case End::kSlip:
+        value = holds(forces_.a.segment<2>(r + 1).norm(), stick_margin(i));
         break;
-      }
-      case End::kStick: {
-        const Vec3& t1 = step_->force_tangent(i);
-        const Vec3 t2 = step_->force_contact(i).normal.cross(t1);
-        const Eigen::Vector2d slip = step_->force_slip(i), d(directions_[i].dot(t1), directions_[i].dot(t2));
-        const double along = slip.dot(d) / speed;
-        value = begins_[i] == 0 ? along : std::copysign(std::max(0.0, std::abs(along) - kBegun), along);
+      case End::kStick:
+        value =
+            slides(step_->force_slip(i).dot(step_->force_tangents(i).transpose() * directions_[i]), begins_[i] != 0);
+        break;
+      case End::kJointSlips:
+        value = holds(std::abs(forces_.a[r]), step_->friction_joints()[i].limit - std::abs(forces_.f[r]));
+        break;
+      case End::kJointSticks: {
+        const FrictionJoint& joint = step_->friction_joints()[i];
+        value = slides(joint.heading * v[joint.dof], std::abs(v0_[joint.dof]) < kBegun);
         break;
       }
     }
@@ -280,8 +269,7 @@ void ContactModes::begin_slip(std::size_t first, double time, Recording& recordi
     const int r = step_->row(i);
     const Eigen::Vector2d f = forces_.f.segment<2>(r + 1);
     if (i != first && !(forces_.margin(r, c.mu) <= kTogether * forces_.scale && f.norm() > 0.0)) continue;
-    const Vec3& t1 = step_->force_tangent(i);
-    c.heading = -(f[0] * t1 + f[1] * step_->force_contact(i).normal.cross(t1)).normalized();
+    c.heading = -(step_->force_tangents(i) * f).normalized();
     c.sticks = c.anchored = false;
     record_change(time, c.point, Change::kSlip, 0.0, recording);
   }
@@ -309,81 +297,9 @@ void ContactModes::begin_joint_slip(std::size_t k) {
   step_->leave();
 }
 
-// The impulse of contact i in the step, as (n, t1, t2) and in the world, and the work of its friction [J].
-void ContactModes::sum_impulses(std::size_t i, Held& held) const {
-  const StageConstraints& rows = *integrator_->constraints();
-  const PersistentContact& c = step_->contacts()[i];
-  const int r = rows_.row(i), j = rows_.slide(i);
-  held = Held();
-  for (int k = 0; k <= rows.table().s; ++k) {
-    Vec3 impulse(rows.phase_impulses()(r, k), 0.0, 0.0);
-    if (j >= 0) {
-      const double angle = rows.slip_angles()(j, k), friction = c.mu * impulse[0];
-      impulse.tail<2>() = -friction * Eigen::Vector2d(std::cos(angle), std::sin(angle));
-      held.work -= friction * rows.slips()(j, k);
-    } else if (c.mu > 0.0) {
-      impulse.tail<2>() = rows.phase_impulses().block(r + 1, k, 2, 1);
-    }
-    held.local += impulse;
-    held.normal += impulse[0] * rows_.site(k, i).contact.normal;
-    held.world += rows_.site(k, i).world(impulse[0], impulse[1], impulse[2]);
-  }
-}
-
-// Of contacts of one pair that stick and share a load, each has the part of the friction that it has of the load.
-void ContactModes::share_friction() {
-  const std::vector<PersistentContact>& contacts = step_->contacts();
-  for (std::size_t i = 0; i < contacts.size(); ++i) {
-    const int guard = contacts[i].point.guard;
-    Vec3 local = Vec3::Zero(), world = Vec3::Zero();
-    double load = 0.0;
-    bool sticks = i == 0 || contacts[i - 1].point.guard != guard;  // once for each pair
-    for (std::size_t k = 0; k < contacts.size(); ++k) {
-      if (contacts[k].point.guard != guard) continue;
-      sticks = sticks && contacts[k].mu > 0.0 && contacts[k].sticks && held_[k].local[0] >= 0.0;
-      load += held_[k].local[0];
-      local += held_[k].local;
-      world += held_[k].world - held_[k].normal;
-    }
-    if (!sticks || !(load > 0.0)) continue;
-    for (std::size_t k = 0; k < contacts.size(); ++k) {
-      if (contacts[k].point.guard != guard) continue;
-      const double part = held_[k].local[0] / load;
-      held_[k].local.tail<2>() = part * local.tail<2>();
-      held_[k].world = held_[k].normal + part * world;
-    }
-  }
-}
-
 bool ContactModes::admits() {
-  const std::vector<PersistentContact>& contacts = step_->contacts();
-  held_.resize(contacts.size());
-  double largest = 0.0;
-  for (std::size_t i = 0; i < contacts.size(); ++i) {
-    sum_impulses(i, held_[i]);
-    largest = std::max(largest, held_[i].local.norm());
-  }
-  if (shares_) share_friction();
-  for (std::size_t i = 0; i < contacts.size(); ++i) {
-    const Vec3& impulse = held_[i].local;
-    const double slack = kAdmitted * largest;
-    if (impulse[0] < -slack) return false;
-    if (contacts[i].sticks && impulse.tail<2>().norm() > contacts[i].mu * std::max(0.0, impulse[0]) + slack)
-      return false;
-  }
-  return true;
-}
-
-// The mean normal of a contact whose normal turns in the step: that of its normal impulses, turned on towards all of
-// the impulse, by an angle of second order, where this would leave its cone.
-Vec3 ContactModes::mean_normal(const Held& held, double mu, const Vec3& normal) {
-  const double size = held.world.norm();
-  if (!(held.normal.norm() > 0.0) || !(size > 0.0) || held.normal.dot(normal) <= 0.0) return normal;
-  const Vec3 n = held.normal.normalized(), all = held.world / size;
-  const Vec3 across = n - n.dot(all) * all;
-  const double angle = std::atan(mu), turned = std::atan2(across.norm(), n.dot(all));
-  if (turned <= angle || across.norm() == 0.0) return n;
-  return std::cos(angle) * all + std::sin(angle) * across.normalized();
+  impulses_.take(step_->contacts(), rows_, *integrator_->constraints());
+  return impulses_.are_admissible();
 }
 
 void ContactModes::commit(double time, long step, bool wanted, Recording& recording) {
@@ -391,12 +307,13 @@ void ContactModes::commit(double time, long step, bool wanted, Recording& record
   const double h = integrator_->length();
   const int s = rows.table().s;
   std::vector<PersistentContact>& contacts = step_->contacts();
-  admits();
+  impulses_.take(contacts, rows_, rows);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
     const int j = rows_.slide(i);
     const PersistentRows::Site& end = rows_.site(s, i);
-    c.force = held_[i].local / h;
+    const HeldImpulses::Impulse& impulse = impulses_.of(i);
+    c.force = impulse.local / h;
     if (c.mu > 0.0 && c.point.kind != PointKind::kVertex) c.tangent = end.t1;
     c.slip.setZero();
     if (j >= 0) {
@@ -411,7 +328,7 @@ void ContactModes::commit(double time, long step, bool wanted, Recording& record
     const Vec3 zero = Vec3::Zero();
     if (!scene_->is_pair(c.point.guard)) {
       recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, step, zero, zero,
-                              0.5 * held_[i].local, 0.5 * held_[i].local, end.contact.gap, zero);
+                              0.5 * impulse.local, 0.5 * impulse.local, end.contact.gap, zero);
       continue;
     }
     const ContactMode mode = c.mu == 0.0 ? ContactMode::kFrictionless
@@ -419,8 +336,8 @@ void ContactModes::commit(double time, long step, bool wanted, Recording& record
                                          : ContactMode::kSticks;
     recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, step,
                             0.5 * (end.contact.point_a + end.contact.point_b),
-                            mean_normal(held_[i], c.mu, end.contact.normal), 0.5 * held_[i].world, 0.5 * held_[i].world,
-                            end.contact.gap, c.slip, held_[i].work);
+                            impulses_.mean_normal(i, end.contact.normal), 0.5 * impulse.world, 0.5 * impulse.world,
+                            end.contact.gap, c.slip, impulse.work);
   }
   step_->leave();
   step_->follow(rows.end_velocity());

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "contact/contact_step.hpp"
+#include "contact/held_impulses.hpp"
 #include "contact/persistent_rows.hpp"
 #include "event/switch_finder.hpp"
 #include "record/recording.hpp"
@@ -30,14 +31,13 @@ class ContactModes final : public SwitchFunctions {
   }
   bool active() const { return active_; }
 
-  // The step of length h from q0 was solved to q1: whether its contacts are still those of the features that touch, and
-  // whether what they do may end in it.
+  // Whether the contacts of the step just solved, to q1, are those of the features that touch there.
   bool fits(const VecX& q1);
   // Whether it leaves open how sliding contacts share a load, which decides about the motion: contact steps do not.
   bool is_undetermined() const { return integrator_->constraints()->slides_share_load(); }
+  // Looks from now on whether what they do ends in that step, of length h from a state with the velocity v0.
   void take_step(double h, const VecX& v0, const VecX& tau);
-  bool may_end() const;
-  double friction_work() const;  // in the step just solved [J], <= 0
+  double friction_work();  // in the step just solved [J], <= 0
 
   int count() const override { return active_ && watches_ ? static_cast<int>(endings_.size()) : 0; }
   void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;
@@ -55,8 +55,7 @@ class ContactModes final : public SwitchFunctions {
   void come_to_rest(std::size_t i, const VecX& v, double time, Recording& recording);
   void begin_joint_slip(std::size_t k);
 
-  // Whether the impulses of the step, or the part of it that was solved last, push and are in their cones. Those of
-  // contacts that share a load are the least ones, which need not be.
+  // Whether the impulses of the step, or the part of it that was solved last, are such as contacts may have.
   bool admits();
   bool shares_load() const { return shares_; }
   // That step is taken: its forces are recorded, half of each impulse at either end with the mean of its normals, and
@@ -64,17 +63,11 @@ class ContactModes final : public SwitchFunctions {
   void commit(double time, long step, bool wanted, Recording& recording);
 
  private:
-  struct Held {
-    Vec3 local = Vec3::Zero(), world = Vec3::Zero(), normal = Vec3::Zero();  // normal: of the normal impulses alone
-    double work = 0.0;
-  };
-  void sum_impulses(std::size_t i, Held& held) const;
-  void share_friction();
-  static Vec3 mean_normal(const Held& held, double mu, const Vec3& normal);
   bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording);
   bool is_paradox(std::size_t i) const;
   Vec3 direction(double at, std::size_t i) const;
   double stick_margin(std::size_t i) const;
+  bool may_end() const;
   bool joints_may_end(const StageConstraints& rows) const;
 
   const Scene* scene_;
@@ -82,17 +75,17 @@ class ContactModes final : public SwitchFunctions {
   ContactStep* step_;
   Integrator* integrator_;
   PersistentRows rows_;
-  bool active_ = false, watches_ = false;
+  bool active_ = false;
+  bool watches_ = false;      // what contacts do may end in the step
   bool shares_ = false;       // contacts share a load
   std::vector<char> begins_;  // per contact: its slip begins with the step
   std::vector<Ending> endings_;
   double t_ = 0.0, h_ = 0.0;
-  VecX v0_;
-  VecX tau_;
+  VecX v0_, tau_;
   std::vector<std::vector<Vec3>> headings_;  // per node of the whole step, and contact
   std::vector<Vec3> directions_;
   ContactStep::Forces forces_;
-  std::vector<Held> held_;  // per contact, of the step
+  HeldImpulses impulses_;
 };
 
 }  // namespace contactvi

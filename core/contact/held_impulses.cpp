@@ -1,0 +1,92 @@
+#include "contact/held_impulses.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+constexpr double kAdmitted = 1e-9;  // of the largest impulse: by how much others may leave their cones
+}  // namespace
+
+void HeldImpulses::take(const std::vector<PersistentContact>& contacts, const PersistentRows& rows,
+                        const StageConstraints& step) {
+  contacts_ = &contacts;
+  impulses_.assign(contacts.size(), Impulse());
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    Impulse& sum = impulses_[i];
+    const int r = rows.row(i), j = rows.slide(i);
+    for (int k = 0; k <= step.table().s; ++k) {
+      Vec3 impulse(step.phase_impulses()(r, k), 0.0, 0.0);
+      if (j >= 0) {
+        const double angle = step.slip_angles()(j, k), friction = contacts[i].mu * impulse[0];
+        impulse.tail<2>() = -friction * Eigen::Vector2d(std::cos(angle), std::sin(angle));
+        sum.work -= friction * step.slips()(j, k);
+      } else if (contacts[i].mu > 0.0) {
+        impulse.tail<2>() = step.phase_impulses().block(r + 1, k, 2, 1);
+      }
+      sum.local += impulse;
+      sum.normal += impulse[0] * rows.site(k, i).contact.normal;
+      sum.world += rows.site(k, i).world(impulse[0], impulse[1], impulse[2]);
+    }
+  }
+  if (step.shares_load()) share_friction();
+}
+
+// Of contacts of one pair that stick and share a load, each has the part of the friction that it has of the load.
+void HeldImpulses::share_friction() {
+  const std::vector<PersistentContact>& contacts = *contacts_;
+  std::vector<std::size_t> of_pair;
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const int guard = contacts[i].point.guard;
+    of_pair.clear();
+    for (std::size_t k = 0; k < contacts.size(); ++k)
+      if (contacts[k].point.guard == guard) of_pair.push_back(k);
+    if (of_pair.front() != i) continue;  // seen before
+    Vec3 local = Vec3::Zero(), world = Vec3::Zero();
+    bool shares = true;
+    for (const std::size_t k : of_pair) {
+      shares = shares && contacts[k].mu > 0.0 && contacts[k].sticks && impulses_[k].local[0] >= 0.0;
+      local += impulses_[k].local;
+      world += impulses_[k].world - impulses_[k].normal;
+    }
+    if (!shares || !(local[0] > 0.0)) continue;
+    for (const std::size_t k : of_pair) {
+      const double part = impulses_[k].local[0] / local[0];
+      impulses_[k].local.tail<2>() = part * local.tail<2>();
+      impulses_[k].world = impulses_[k].normal + part * world;
+    }
+  }
+}
+
+bool HeldImpulses::are_admissible() const {
+  double largest = 0.0;
+  for (const Impulse& impulse : impulses_) largest = std::max(largest, impulse.local.norm());
+  const double slack = kAdmitted * largest;
+  for (std::size_t i = 0; i < impulses_.size(); ++i) {
+    const Vec3& impulse = impulses_[i].local;
+    if (impulse[0] < -slack) return false;
+    const double most = (*contacts_)[i].mu * std::max(0.0, impulse[0]);  // what slides is on its cone
+    if ((*contacts_)[i].sticks && impulse.tail<2>().norm() > most + slack) return false;
+  }
+  return true;
+}
+
+double HeldImpulses::friction_work() const {
+  double work = 0.0;
+  for (const Impulse& impulse : impulses_) work += impulse.work;
+  return work;
+}
+
+Vec3 HeldImpulses::mean_normal(std::size_t i, const Vec3& normal) const {
+  const Impulse& impulse = impulses_[i];
+  const double size = impulse.world.norm();
+  if (!(size > 0.0) || !(impulse.normal.dot(normal) > 0.0)) return normal;
+  const Vec3 n = impulse.normal.normalized(), all = impulse.world / size;
+  const Vec3 across = n - n.dot(all) * all;
+  const double angle = std::atan((*contacts_)[i].mu), turned = std::atan2(across.norm(), n.dot(all));
+  if (turned <= angle || across.norm() == 0.0) return n;
+  return std::cos(angle) * all + std::sin(angle) * across.normalized();
+}
+
+}  // namespace contactvi

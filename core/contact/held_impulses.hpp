@@ -1,0 +1,39 @@
+// The impulses of the persistent contacts in a smooth step that holds them, one for each contact and step.
+//
+// A step has impulses at its nodes, which tell forces to a low order each; their sum has the order of the step.
+// Contacts that share a load have the least impulses that keep their rows, which need not be ones that contacts may
+// have.
+#pragma once
+
+#include "contact/persistent_rows.hpp"
+#include "step/stage_constraints.hpp"
+
+namespace contactvi {
+
+class HeldImpulses {
+ public:
+  struct Impulse {
+    Vec3 local = Vec3::Zero();   // (n, t1, t2) [N s]
+    Vec3 world = Vec3::Zero();   // on geometry b
+    Vec3 normal = Vec3::Zero();  // of it, what acts along the normals of the nodes
+    double work = 0.0;           // of friction [J]
+  };
+
+  // Takes those of the step, or the part of one, that was solved last.
+  void take(const std::vector<PersistentContact>& contacts, const PersistentRows& rows, const StageConstraints& step);
+  const Impulse& of(std::size_t i) const { return impulses_[i]; }
+  // Whether all of them push and are in their cones.
+  bool are_admissible() const;
+  double friction_work() const;  // [J], <= 0
+  // The mean normal of a contact whose normal turns in the step and is this one at its end: that of its normal
+  // impulses, turned on towards all of the impulse, by an angle of second order, where this would leave its cone.
+  Vec3 mean_normal(std::size_t i, const Vec3& normal) const;
+
+ private:
+  void share_friction();
+
+  const std::vector<PersistentContact>* contacts_ = nullptr;
+  std::vector<Impulse> impulses_;
+};
+
+}  // namespace contactvi
