@@ -35,12 +35,11 @@ bool Simulator::leave_to_contact_steps(double time) {
   return true;
 }
 
-// A smooth step of length h with persistent contacts was not taken.
-bool Simulator::shorten_held_step(double h, double time) {
+// A smooth step of length h was not taken.
+bool Simulator::shorten_step(double h, double time) {
   if (user_function_failed(time)) return false;
-  if (is_near_contact_step(h)) return leave_to_contact_steps(time);
+  if (modes_.active() && is_near_contact_step(h)) return leave_to_contact_steps(time);
   modes_.end_step();
-  integrator_.forget();
   state_.control.halve_free(h);
   return true;
 }

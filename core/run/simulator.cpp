@@ -375,22 +375,20 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   const bool learns = last_try || (truncation_.bound > 0.0 && !is_near_contact_step(h));
   if (!solve_smooth_step(at, h, interval.tau, learns)) {
     if (truncation_.too_long || learns || scene_->tree.elements.user_failed()) return false;
-    if (holds) return shorten_held_step(h, at);
-    control.halve_free(h);
-    return true;
+    return shorten_step(h, at);
   }
+  const auto reject = [&] {  // solve_smooth_step has accepted the step
+    integrator_.forget();
+    return shorten_step(h, at);
+  };
   if (holds && modes_.is_undetermined()) return leave_to_contact_steps(at);
-  if (holds && (!modes_.fits(q1_) || !held_step_keeps_energy())) return shorten_held_step(h, at);
+  if (holds && (!modes_.fits(q1_) || !held_step_keeps_energy())) return reject();
   // Adaptive steps are as short as their stages need; an implicit map has its own energy, and an impulse for the whole
   // step.
   if (truncation_.bound == 0.0 && !last_try && !law_->implicit() &&
       long_steps_.may_be_long(integrator_.stage_velocities(), integrator_.padded_stages(), h) &&
-      long_steps_.is_long(integrator_, h) && !energy_is_kept()) {
-    if (holds) return shorten_held_step(h, at);
-    integrator_.forget();
-    control.halve_free(h);
-    return true;
-  }
+      long_steps_.is_long(integrator_, h) && !energy_is_kept())
+    return reject();
   if (holds) modes_.take_step(h, v_, interval.tau);
   bool switches = false;  // the step is to end where a branch does
   if (branches_.count() > 0 || modes_.count() > 0) {
@@ -405,9 +403,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
       if (options_.dense) rates_ = integrator_.rates();
     } else if (found != Search::kNone) {
       if (last_try) return end_failed_switch(found, at);
-      if (holds) return shorten_held_step(h, at);
-      control.halve_free(h);
-      return true;
+      return reject();
     }
   }
   const bool shorter = halves || switches;
@@ -425,12 +421,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
       found = finder_.search(state_.q, state_.p, q1_, p1_, h, interval.tau, path_);
     }
   }
-  if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) {
-    if (holds) return shorten_held_step(h, at);
-    integrator_.forget();  // solve_smooth_step has accepted the step
-    control.halve_free(h);
-    return true;
-  }
+  if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) return reject();
   if (halves && !switches && longest == control.free.longest) control.free.grow();
   if (found == Search::kFound) {
     if (!branches_.none()) branches_.end_step();
@@ -441,9 +432,9 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (holds) {
     // The search may have solved parts of the step: its impulses are to be those of the whole.
     if (integrator_.length() != h && !integrator_.solve_part(path_, 1.0, state_.q, state_.p, interval.tau))
-      return shorten_held_step(h, at);
-    if (sinks_deeper(recording, at + h)) return shorten_held_step(h, at);
-    if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : shorten_held_step(h, at);
+      return reject();
+    if (sinks_deeper(recording, at + h)) return reject();
+    if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
     modes_.commit(at, state_.step, options_.record_contacts, recording);
   }
   state_.work.add(work);

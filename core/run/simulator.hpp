@@ -231,7 +231,7 @@ class Simulator {
   bool may_hold_contacts(double time) const;
   bool is_near_contact_step(double h) const;
   bool leave_to_contact_steps(double time);
-  bool shorten_held_step(double h, double time);
+  bool shorten_step(double h, double time);
   bool held_step_keeps_energy();
   void change_contact(int function, double time, const VecX& v, bool moved, Recording& recording);
 

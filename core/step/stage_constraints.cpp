@@ -12,26 +12,15 @@
 namespace contactvi {
 
 namespace {
-// Relative pivot of the scaled matrix of the impulses below which rows depend on each other.
-constexpr double kRedundant = 1e-10;
 // Of the coordinates, and 1 m or rad: by which residuals of constraints are off. A step divides it by its length, and
 // conditions at s nodes multiply it by up to about s^2.
 constexpr double kRounding = 1e-15;
-constexpr double kTurns = 1e-15;       // [rad] to which the charts of spherical joints belong to their velocities
-constexpr double kAlike = 1e-6;        // of unit vectors: directions of forces that differ by less are the same
-constexpr double kIndependent = 1e-7;  // relative pivot above which no such row is looked for
-constexpr double kZeroRow = 1e-20;     // share of the largest diagonal below which a row is rounding
+constexpr double kTurns = 1e-15;    // [rad] to which the charts of spherical joints belong to their velocities
+constexpr double kAlike = 1e-6;     // of unit vectors: directions of forces that differ by less are the same
+constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which a row is rounding
 // [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
-constexpr double kFarTurn = 0.5;  // [rad] by which an iteration changes the direction of a slip at most
-// Of what friction answers to a turn of its direction, as a slip: where the slip is as far beyond its end the direction
-// is no longer found from it. At all of it the equation is singular.
-constexpr double kTurned = 0.5;
-constexpr int kMostTurns = 3;       // see find_slips
-constexpr int kEndIterations = 30;  // of Newton's method on the impulse at the end, where contacts slide
-// Of the speeds: what a change of direction moves that is rounding, and from which on rounding may keep it from
-// becoming less.
-constexpr double kEndExact = 1e-16, kEndNear = 1e-13;
+constexpr int kMostTurns = 3;  // see find_slips
 }  // namespace
 
 StageConstraints::Node::Node(const Tree& tree) : q(tree.nq), X(VecX::Zero(tree.nv)), at(tree) {}
@@ -242,7 +231,7 @@ bool StageConstraints::find_slips() {
     for (int j = 0; j < slides_; ++j) {
       // The first iterations may show a slip that has turned back and has not; what is seen a second time stays.
       int& seen = turns_[static_cast<std::size_t>(k * slides_ + j)];
-      const bool back = slips_(j, k) < kTurned * answers_(j, k);
+      const bool back = slips_(j, k) < SlipProjection::kTurned * answers_(j, k);
       if (back == (seen % 2 == 1) || seen >= kMostTurns) continue;
       ++seen;
       any = true;
@@ -392,7 +381,7 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
       }
     }
   scale_matrix(S);
-  factor_matrix();
+  system_.set(matrix_, row_scale_, scale_);
 }
 
 // Rows and columns of the impulses of one row have the same scale: that of its own mobility. Directions have the scale
@@ -424,30 +413,12 @@ void StageConstraints::scale_matrix(int S) {
     row_scale_[column] = common > 0.0 ? 1.0 / std::sqrt(common) : 1.0;
     scale_[column] = largest > 0.0 ? 1.0 / (row_scale_[column] * largest) : 0.0;
   }
-  matrix_ = row_scale_.asDiagonal() * matrix_ * scale_.asDiagonal();
-}
-
-// Rows that do nothing are left out. The others depend on each other seldom enough for the cheaper factor to be tried
-// first.
-void StageConstraints::factor_matrix() {
-  used_.clear();
-  for (int k = 0; k < scale_.size(); ++k)
-    if (scale_[k] > 0.0) used_.push_back(k);
-  used_matrix_ = matrix_(used_, used_);
-  redundant_ = false;
-  if (used_.empty()) return;
-  lu_.compute(used_matrix_);
-  const auto pivots = lu_.matrixLU().diagonal().cwiseAbs();
-  redundant_ = !(pivots.minCoeff() > kIndependent * pivots.maxCoeff());
-  if (!redundant_) return;
-  factor_.setThreshold(kRedundant);
-  factor_.compute(used_matrix_);
 }
 
 // Impulses that change no row's velocity are those whose forces do nothing where the dependences of the forces are
 // those of the rows; with friction along slips of several directions they may do something.
 bool StageConstraints::slides_share_load() const {
-  if (!redundant_ || slides_ == 0) return false;
+  if (!system_.is_redundant() || slides_ == 0) return false;
   const auto rank = [](MatX columns) {
     for (Eigen::Index r = 0; r < columns.cols(); ++r)
       if (const double size = columns.col(r).norm(); size > 0.0) columns.col(r) /= size;
@@ -459,25 +430,6 @@ bool StageConstraints::slides_share_load() const {
   for (const Node* node : {&nodes_.front(), &nodes_.back()})
     if (rank(node->F) > rank(node->W)) return true;
   return false;
-}
-
-// Sets the change of the unknowns that takes the residuals away. Where rows share a load the impulses are the least
-// ones, whatever they were before: what sliding contacts share decides about the motion.
-void StageConstraints::solve_unknowns() {
-  change_.setZero(residual_.size());
-  if (used_.empty()) return;
-  VecX right = -(row_scale_.cwiseProduct(residual_) / h_)(used_);
-  if (!redundant_) {
-    change_(used_) = VecX(lu_.solve(right));
-  } else {
-    VecX now = VecX::Zero(residual_.size());
-    for (int k = 0; k < rows_ * stages_; ++k)
-      if (scale_[k] > 0.0) now[k] = lambda_(k % rows_, k / rows_) / scale_[k];
-    const VecX known = now(used_);
-    right += used_matrix_ * known;
-    change_(used_) = VecX(factor_.solve(right) - known);
-  }
-  change_.array() *= scale_.array();
 }
 
 // Besides what the correction moves, which is in it.
@@ -514,7 +466,10 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
   residual_.resize(count);
   move_rows(changed_.data(), S, residual_);
   add_to_residual(stages);
-  solve_unknowns();
+  now_.setZero(count);  // where rows share a load the impulses are the least ones
+  for (int k = 0; k < stages_; ++k) now_.segment(k * rows_, rows_) = lambda_.col(k);
+  residual_ /= h_;
+  system_.solve(residual_, now_, change_);
   // With the impulses' change k of the momenta the correction is D^-1 (r + k), its energy r.dv + 2 k.dv + k.D^-1 k.
   double errors[kMaxStages];
   for (int i = 0; i < stages_; ++i) errors[i] = stages.error(i);
@@ -535,7 +490,8 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
   for (int i = 0; i < stages_; ++i) stages.set_error(i, errors[i]);
   for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
   for (int k = 1; k < stages_ && slides_ > 0; ++k) {
-    for (int j = 0; j < slides_; ++j) angles_(j, k) += std::clamp(change_[direction_at(k, j)], -kFarTurn, kFarTurn);
+    for (int j = 0; j < slides_; ++j)
+      angles_(j, k) += std::clamp(change_[direction_at(k, j)], -SlipProjection::kFarTurn, SlipProjection::kFarTurn);
     direct(nodes_[k], k);
   }
   add_impulses();
@@ -546,116 +502,11 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
   knows_end_ = close_slides(equations, p1_);
 }
 
-// The impulse at the end where contacts slide, in momentum and velocity there, by Newton's method on the impulses and
-// the directions of the slips.
+// The impulse at the end where contacts slide, in momentum and velocity there.
 bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
-  Node& end = nodes_[stages_];
-  const Eigen::Index m = rows_, n = m + slides_;
-  MatX X(p1.size(), m + 2 * slides_ + 1);
-  X << end.W, end.T, p1;
-  equations.solve_masses(X);
-  const MatX to_W = end.W.transpose() * X, to_T = end.T.transpose() * X;  // velocities of rows, of tangents
-  if (!to_W.allFinite() || !to_T.allFinite()) return false;
-  // The momentum is p1 + sum_r F_r lambda_r, a sum of the columns of X with these weights.
-  const auto weights = [&] {
-    VecX all = VecX::Zero(X.cols());
-    all[X.cols() - 1] = 1.0;
-    all.head(m) = lambda_.col(stages_);
-    for (int j = 0; j < slides_; ++j) {
-      const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
-      const double f = mu * lambda_(fixed_ + normal, stages_), a = angles_(j, stages_);
-      all[m + 2 * j] = -f * std::cos(a);
-      all[m + 2 * j + 1] = -f * std::sin(a);
-    }
-    return all;
-  };
-  MatX A(n, n);
-  VecX b(n), column(X.cols());
-  double before = std::numeric_limits<double>::infinity();
-  std::fill_n(turns_.end() - slides_, slides_, 0);
-  for (int k = 0; k < kEndIterations; ++k) {
-    const VecX all = weights(), w = to_W * all, u = to_T * all;
-    // Each column of A is what an unknown makes of the rows' velocities.
-    const auto rows_of = [&](const VecX& c, auto to) {
-      to.head(m) = to_W * c;
-      const VecX t = to_T * c;
-      for (int j = 0; j < slides_; ++j) {
-        const double a = angles_(j, stages_);
-        to[m + j] = std::cos(a) * t[2 * j + 1] - std::sin(a) * t[2 * j];
-      }
-    };
-    for (Eigen::Index r = 0; r < m; ++r) {
-      column.setZero();
-      column[r] = 1.0;
-      for (int j = 0; j < slides_; ++j) {
-        const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
-        if (fixed_ + normal != r) continue;
-        column[m + 2 * j] = -mu * std::cos(angles_(j, stages_));
-        column[m + 2 * j + 1] = -mu * std::sin(angles_(j, stages_));
-      }
-      rows_of(column, A.col(r));
-    }
-    b.head(m) = w + end.rate;
-    for (int j = 0; j < slides_; ++j) {
-      const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
-      const double f = mu * lambda_(fixed_ + normal, stages_), a = angles_(j, stages_);
-      const double along = std::cos(a) * u[2 * j] + std::sin(a) * u[2 * j + 1];
-      column.setZero();
-      column[m + 2 * j] = f * std::sin(a);
-      column[m + 2 * j + 1] = -f * std::cos(a);
-      rows_of(column, A.col(m + j));
-      answers_(j, stages_) = std::min(0.0, A(m + j, m + j));
-      A(m + j, m + j) -= along;
-      b[m + j] = std::cos(a) * u[2 * j + 1] - std::sin(a) * u[2 * j];
-      int& seen = turns_[static_cast<std::size_t>(stages_ * slides_ + j)];
-      if (along < kTurned * answers_(j, stages_)) seen = 1;
-      if (seen != 0) {
-        A.row(m + j).setZero();
-        A(m + j, m + j) = 1.0;
-        b[m + j] = a - angles_(j, stages_ - 1);
-      }
-      slips_(j, stages_) = along;
-    }
-    // Rows in the scale of their mobility, directions in that of what they do.
-    VecX row(n), col(n);
-    double common = 0.0;
-    for (Eigen::Index r = fixed_; r < m; ++r) common = std::max(common, A(r, r));
-    for (Eigen::Index r = 0; r < m; ++r) {
-      const double mobility = r < fixed_ || !(A(r, r) > 0.0) ? A(r, r) : common;
-      row[r] = col[r] = mobility > 0.0 ? 1.0 / std::sqrt(mobility) : 0.0;
-    }
-    for (Eigen::Index r = m; r < n; ++r) {
-      row[r] = common > 0.0 ? 1.0 / std::sqrt(common) : 1.0;
-      const double largest = A.col(r).cwiseAbs().maxCoeff();
-      col[r] = largest > 0.0 ? 1.0 / (row[r] * largest) : 0.0;
-    }
-    Eigen::CompleteOrthogonalDecomposition<MatX> factor;
-    factor.setThreshold(kRedundant);
-    VecX now = VecX::Zero(n);
-    for (Eigen::Index r = 0; r < m; ++r) now[r] = col[r] > 0.0 ? lambda_(r, stages_) / col[r] : 0.0;
-    const MatX scaled = row.asDiagonal() * A * col.asDiagonal();
-    factor.compute(scaled);
-    const VecX x = col.cwiseProduct(factor.solve(scaled * now - row.cwiseProduct(b)) - now);
-    if (!x.allFinite()) return false;
-    lambda_.col(stages_) += x.head(m);
-    double turned = 0.0;
-    for (int j = 0; j < slides_; ++j) {
-      const double turn = std::clamp(x[m + j], -kFarTurn, kFarTurn);
-      angles_(j, stages_) += turn;
-      turned = std::max(turned, std::abs(turn) * A.col(m + j).cwiseAbs().maxCoeff());
-    }
-    const double speed = 1.0 + w.cwiseAbs().maxCoeff() + u.cwiseAbs().maxCoeff();
-    const bool settled =
-        k > 0 && (turned <= kEndExact * speed || (turned <= kEndNear * speed && turned >= 0.5 * before));
-    before = turned;
-    if (!settled) continue;
-    direct(end, stages_);
-    p1 += end.F * lambda_.col(stages_);
-    v1_ = X * weights();
-    slips_.col(stages_) = end.along.transpose() * v1_;
-    return v1_.allFinite();
-  }
-  return false;
+  const Node& end = nodes_[stages_];
+  return slip_projection_.apply(equations, end.W, end.T, end.rate, phase_->slides(), fixed_, angles_.col(stages_ - 1),
+                                p1, v1_, lambda_.col(stages_), angles_.col(stages_), slips_.col(stages_));
 }
 
 void StageConstraints::give_up() {
@@ -685,7 +536,6 @@ bool StageConstraints::keeps_phase() const {
 bool StageConstraints::close(StepEquations& equations, const Stages& stages, const VecCRef& q1, VecRef p1) {
   Node& end = nodes_[stages_];
   end.q = q1;
-  for (int d = 0; d < tree_->nv; ++d) end.X[d] = stages.sum(stages.rate(), d);
   place(end, stages_);
   equations.place_node(q1);
   load_work_ = 0.0;
@@ -701,6 +551,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
   } else if (!close_slides(equations, p1)) {
     return false;
   }
+  direct(end, stages_);
   sum_ = lambda_.rowwise().sum();
   work_ = mean_work_ = 0.0;
   for (int k = 0; k <= stages_; ++k) {

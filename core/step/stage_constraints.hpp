@@ -19,8 +19,6 @@
 // SIAM J. Numer. Anal. 45 (2007); "Lagrange-d'Alembert SPARK integrators for nonholonomic Lagrangian systems" (2009).
 #pragma once
 
-#include <Eigen/LU>
-#include <Eigen/QR>
 #include <vector>
 
 #include "base/lobatto.hpp"
@@ -28,6 +26,8 @@
 #include "model/placement.hpp"
 #include "step/path.hpp"
 #include "step/phase_rows.hpp"
+#include "step/row_system.hpp"
+#include "step/slip_projection.hpp"
 #include "step/stages.hpp"
 #include "step/step_equations.hpp"
 #include "step/stiff_terms.hpp"
@@ -77,7 +77,7 @@ class StageConstraints {
   double load_work() const { return load_work_; }
   const LobattoTable& table() const { return *table_; }
   // Whether rows share a load, so that their impulses are not the only ones that keep them.
-  bool shares_load() const { return redundant_; }
+  bool shares_load() const { return system_.is_redundant(); }
   // Whether sliding contacts do: then their impulses, of which any split keeps the rows, decide about the motion.
   bool slides_share_load() const;
   const VecX& end_velocity() const { return v1_; }
@@ -118,8 +118,6 @@ class StageConstraints {
   void impulse_at(int node, bool chart);
   void make_matrix(Stages& stages, StiffTerms& stiff);
   void scale_matrix(int S);
-  void factor_matrix();
-  void solve_unknowns();
   void set_charts(const Stages& stages);
   void to_stages(bool transposed, int S, double* x) const;
   void move_rows(double* x, int S, VecRef moved);
@@ -155,13 +153,11 @@ class StageConstraints {
   std::vector<AlignedArray> given_, moved_;
   AlignedArray kept_, changed_;
   std::vector<Mat3> charts_;  // inverse right Jacobians, of each spherical joint at each stage
-  VecX row_scale_, scale_, residual_, change_;
-  MatX matrix_, used_matrix_;
-  std::vector<int> used_;  // rows of the matrix that do something
-  bool redundant_ = false;
-  Eigen::PartialPivLU<MatX> lu_;
-  Eigen::CompleteOrthogonalDecomposition<MatX> factor_;
+  VecX row_scale_, scale_, residual_, now_, change_;
+  MatX matrix_;
+  RowSystem system_;
   Reduction reduction_;
+  SlipProjection slip_projection_;
   VecX forces_, sum_, v1_, q1_, p1_;
   double work_ = 0.0, mean_work_ = 0.0, load_work_ = 0.0;
   double rounding_ = 0.0;
