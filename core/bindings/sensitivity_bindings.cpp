@@ -317,11 +317,13 @@ class Recorded {
       for (const HeldStepRecord& step : block->held) held[step.t] = &step;
     }
     for (Piece& piece : run_.pieces) {
+      if (const auto step = held.find(piece.t); step != held.end() && step->second->h == piece.h) {
+        piece.held = step->second;
+        if (piece.held->rates.cols() != run_.stages) throw Error("rates: wrong shape");
+        continue;
+      }
       if (!piece.persistent) {
-        const auto step = held.find(piece.t);
-        if (step != held.end() && step->second->h == piece.h) piece.held = step->second;
-        if (piece.held != nullptr && piece.held->rates.cols() != run_.stages) throw Error("rates: wrong shape");
-        piece.persistent = piece.held == nullptr && scene_.tree.elements.constraint_rows > 0;  // it was not kept
+        piece.persistent = scene_.tree.elements.constraint_rows > 0;  // it was not kept
         continue;
       }
       const auto step = dense.find(piece.t);

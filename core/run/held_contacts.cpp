@@ -18,10 +18,9 @@ constexpr double kResolved = 1e-3, kEnergyRounding = 1e-12;
 constexpr double kAtOnce = 1e-9;  // [s] of 1 s + t: spans follow each other
 }  // namespace
 
-// Held contacts have no derivatives that are known.
 bool Simulator::may_hold_contacts(double time) const {
-  return keeps_constraints_ && !options_.gradient &&
-         time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
+  if (options_.gradient && !modes_.have_derivatives()) return false;
+  return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }
 
 bool Simulator::is_near_contact_step(double h) const { return h <= kNearContactStep * contact_dt(); }
@@ -56,7 +55,16 @@ bool Simulator::held_step_keeps_energy() {
          kResolved * (T0 + T1 + std::abs(V1 - V0)) + kEnergyRounding * (std::abs(V0) + std::abs(V1));
 }
 
-void Simulator::keep_held_step() { kept_held_steps_.push_back(held_step_record(integrator_, state_.q, state_.p)); }
+void Simulator::keep_held_step() {
+  kept_held_steps_.push_back(held_step_record(integrator_, state_.q, state_.p));
+  if (modes_.active()) kept_held_steps_.back().contacts = contact_step_.contacts();
+}
+
+// Whether what ends the smooth step is the beginning of a slip.
+bool Simulator::slip_begins() const {
+  const int function = switches_.which() - branches_.count();
+  return function >= 0 && modes_.ending(function).end == ContactModes::End::kSlip;
+}
 
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.
 void Simulator::change_contact(int function, double time, const VecX& v, bool moved, Recording& recording) {

@@ -370,6 +370,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     if (!integrator_.node_velocity(state_.q, state_.p, v_) ||
         !modes_.begin_step(state_.q, v_, at, interval.tau, recording))
       return leave_to_contact_steps(at);
+    if (options_.gradient && !modes_.have_derivatives()) return leave_to_contact_steps(at);
     integrator_.set_time(at);
   }
   // A run that chooses its steps learns from one that is too long to be solved.
@@ -395,6 +396,8 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (branches_.count() > 0 || modes_.count() > 0) {
     const Search found = switches_.search(state_.q, state_.p, v_, q1_, p1_, h, interval.tau);
     if (found != Search::kNone) integrator_.forget();
+    // The steps of the slip have another order: the time of its beginning would matter to derivatives.
+    if (found == Search::kFound && options_.gradient && slip_begins()) return leave_to_contact_steps(at);
     if (found == Search::kFound) {
       if (switches_.alpha() <= 0.0) return enter_branch(interval, state_.q, v_, false, recording);
       switches = true;
@@ -437,9 +440,11 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (holds) {
     if (sinks_deeper(recording, at + h)) return reject();
     if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
+    if (keeps_held_steps()) keep_held_step();
     modes_.commit(at, state_.step, options_.record_contacts, recording);
+  } else if (keeps_held_steps()) {
+    keep_held_step();
   }
-  if (keeps_held_steps()) keep_held_step();
   state_.work.add(work);
   control.flew(options_.dt);
   record_segment(at, h, p1_, recording);
@@ -486,8 +491,8 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const double at = interval.start + interval.done, before = event.alpha * h;
   const bool holds = modes_.active();
   if (before > 0.0) {
-    if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
     if (keeps_held_steps()) keep_held_step();
+    if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);

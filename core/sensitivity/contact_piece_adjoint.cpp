@@ -20,7 +20,7 @@ void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   inputs_ = &inputs;
   number_ = piece.step;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages);
+    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
     return;
   }
@@ -51,7 +51,8 @@ Vec3 ContactPieceAdjoint::take_anchor(const ContactPoint& point) {
 }
 
 void ContactPieceAdjoint::leave_anchors(VecX& lq) {
-  if (dense_step_ != nullptr || held_piece_ != nullptr) {  // contacts stick without an anchor after it
+  if (held_piece_ != nullptr) return leave_held_anchors();
+  if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
     finish();
     return;
   }
@@ -75,6 +76,16 @@ void ContactPieceAdjoint::leave_anchors(VecX& lq) {
     lq[joint.dof] += joint_anchors_[static_cast<Eigen::Index>(j)];
     joint_anchors_[static_cast<Eigen::Index>(j)] = 0.0;
   }
+}
+
+// They count from the start of the step, or from where they stuck before it.
+void ContactPieceAdjoint::leave_held_anchors() {
+  const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
+  held_anchors_.setZero(3, static_cast<Eigen::Index>(contacts.size()));
+  for (std::size_t i = 0; i < contacts.size(); ++i)
+    if (contacts[i].mu > 0.0) held_anchors_.col(static_cast<Eigen::Index>(i)) = take_anchor(contacts[i].point);
+  finish();
+  anchors_.clear();
 }
 
 void ContactPieceAdjoint::finish() const {
@@ -154,6 +165,17 @@ void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradie
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = gradient_.q;
   lp = gradient_.p;
+  const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    if (contacts[i].mu == 0.0) continue;
+    const Vec3 gradient = held_anchors_.col(static_cast<Eigen::Index>(i));
+    if (contacts[i].anchored) {
+      anchors_.push_back(
+          {contacts[i].point, held_piece_->t, gradient + gradient_.anchors.col(static_cast<Eigen::Index>(i))});
+    } else {
+      lq += held_->tangent().start_place_change(i).transpose() * gradient;
+    }
+  }
   const double later = held_piece_->end == PieceEnd::kLength ? ltime : -gradient_.h;
   ltime = gradient_.t + later;
   inputs_->mask(gradient_.tau);

@@ -43,6 +43,7 @@ class ContactPieceAdjoint {
 
   void add_energy(double lenergy, VecX& lq, VecX& lp, double& ltime);
   Vec3 take_anchor(const ContactPoint& point);
+  void leave_held_anchors();
   double pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
@@ -63,6 +64,7 @@ class ContactPieceAdjoint {
   ContactStepGradient gradient_;
   DenseStepGradient dense_gradient_;
   std::vector<Anchor> anchors_;
+  MatX held_anchors_;  // gradients in the places at which contacts stick after the held step, (3, contacts)
   VecX joint_anchors_;
 };
 

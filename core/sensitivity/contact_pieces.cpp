@@ -42,7 +42,9 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   held_piece_ = piece.held != nullptr ? &piece : nullptr;
   inputs_ = &inputs;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages);
+    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages, run_->contact_points);
+    for (const PersistentContact& c : piece.held->contacts)
+      if (c.anchored && anchor_of(c.point) == nullptr) refuse_sticking_start(c.point, piece.t);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
     return;
   }
@@ -137,8 +139,18 @@ void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
 // As a smooth step without rows: to the time that it ends at or, where it has a given length, so long after its start.
 void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
   energies_.setZero(d.count);
+  size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
+  size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
+  held_anchors_ = held_anchors(columns);
   for (Eigen::Index k = 0; k < d.count; ++k) {
     ContactStepDirection direction;
+    direction.anchors.setZero(3, static_cast<Eigen::Index>(held_piece_->held->contacts.size()));
+    for (std::size_t i = 0; i < held_piece_->held->contacts.size(); ++i) {
+      const PersistentContact& c = held_piece_->held->contacts[i];
+      if (c.anchored) direction.anchors.col(static_cast<Eigen::Index>(i)) = anchor_of(c.point)->change.col(k);
+    }
+    direction.size_q = size_q_[k];
+    direction.size_p = size_p_[k];
     direction.q = columns.q.col(k);
     direction.p = columns.p.col(k);
     direction.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
@@ -149,6 +161,19 @@ void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
     held_->solve(direction, columns.q.col(k), columns.p.col(k));
     if (held_piece_->end == PieceEnd::kTime) columns.time[k] = 0.0;
   }
+}
+
+// What sticks from a held step on: where it stuck before, or as it is at the start of the step, where columns are.
+std::vector<ContactPieces::Anchor> ContactPieces::held_anchors(const RunColumns& columns) const {
+  std::vector<Anchor> found;
+  const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const PersistentContact& c = contacts[i];
+    if (c.mu == 0.0) continue;
+    found.push_back(
+        {c.point, c.anchored ? anchor_of(c.point)->change : MatX(held_->start_place_change(i) * columns.q)});
+  }
+  return found;
 }
 
 // The changes of the coefficients of friction of the contacts of a step; empty where none changes.
@@ -192,7 +217,11 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
 }
 
 void ContactPieces::keep_anchors(const RunColumns& columns) {
-  if (dense_step_ != nullptr || held_piece_ != nullptr) {  // contacts stick without an anchor after it
+  if (held_piece_ != nullptr) {
+    anchors_ = std::move(held_anchors_);
+    return;
+  }
+  if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
     anchors_.clear();
     return;
   }

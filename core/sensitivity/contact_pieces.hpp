@@ -57,6 +57,7 @@ class ContactPieces {
     MatX change;  // of the place, in the frame of the plane, (3, count)
   };
 
+  std::vector<Anchor> held_anchors(const RunColumns& columns) const;
   const Anchor* anchor_of(const ContactPoint& point) const;
   void end(const RunDirections& directions, RunColumns& columns);
   void move_dense(const RunDirections& directions, RunColumns& columns);
@@ -75,9 +76,9 @@ class ContactPieces {
   const Piece* held_piece_ = nullptr;  // one of the three
   const PieceInputs* inputs_ = nullptr;
   ContactStepDirection direction_;
-  std::vector<Anchor> anchors_;
-  MatX joint_anchors_;    // of the joints with friction, (joints, count)
-  VecX size_q_, size_p_;  // largest changes of q and p on the way, per column
+  std::vector<Anchor> anchors_, held_anchors_;  // now; after the held step that was taken
+  MatX joint_anchors_;                          // of the joints with friction, (joints, count)
+  VecX size_q_, size_p_;                        // largest changes of q and p on the way, per column
   VecX energies_;
   VecX slip_;  // change of the slip whose end ends the piece, per column [m/s]
 };

@@ -138,13 +138,19 @@ void outcome_fields(Archive& a, Outcome& o) {
   for (auto* x : {&o.slipped, &o.slips, &o.turned, &o.active, &o.keeps, &o.freed, &o.jumps}) a.whole(*x);
 }
 
+template <class Archive, class Persistent>
+void persistent_fields(Archive& a, Persistent& c) {
+  point_fields(a, c.point);
+  a.number(c.mu);
+  for (auto* x : {&c.sticks, &c.anchored, &c.is_new}) a.whole(*x);
+  for (auto* x : {&c.slip, &c.anchor, &c.tangent, &c.force}) a.fixed(*x);
+}
+
 template <class Archive, class Kept>
 void kept_fields(Archive& a, Kept& c) {
-  point_fields(a, c.before.point);
-  a.number(c.before.mu);
-  for (auto* x : {&c.before.sticks, &c.before.anchored, &c.before.is_new, &c.by_rate}) a.whole(*x);
-  for (auto* x : {&c.before.slip, &c.before.anchor, &c.before.tangent, &c.before.force, &c.t1_start, &c.t1_end})
-    a.fixed(*x);
+  persistent_fields(a, c.before);
+  a.whole(c.by_rate);
+  for (auto* x : {&c.t1_start, &c.t1_end}) a.fixed(*x);
   contact_fields(a, c.start);
   contact_fields(a, c.end);
   outcome_fields(a, c.outcome);
@@ -251,6 +257,8 @@ void held_fields(Archive& a, Step& s) {
   for (auto* x : {&s.t, &s.h}) a.number(*x);
   for (auto* x : {&s.q0, &s.p0, &s.v1}) a.sized(*x);
   for (auto* x : {&s.rates, &s.lambda}) a.sized(*x);
+  a.list_size(s.contacts);
+  for (auto& c : s.contacts) persistent_fields(a, c);
 }
 
 bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
@@ -391,9 +399,15 @@ class DenseCheck {
 bool belongs(const Scene& scene, const HeldStepRecord& s) {
   const Tree& tree = scene.tree;
   const Eigen::Index stages = s.rates.cols();
+  Eigen::Index rows = tree.elements.constraint_rows;
+  for (const PersistentContact& c : s.contacts) {
+    if (!belongs(scene, c.point) || !(c.mu >= 0.0)) return false;
+    if (c.mu > 0.0 && !(c.sticks && c.point.material && c.point.kind == PointKind::kVertex)) return false;
+    rows += c.rows();
+  }
   return s.h > 0.0 && s.q0.size() == tree.nq && s.p0.size() == tree.nv && s.v1.size() == tree.nv &&
          s.rates.rows() == tree.nv && stages >= 1 && stages <= kMaxStages && s.lambda.cols() == stages + 1 &&
-         s.lambda.rows() == tree.elements.constraint_rows;
+         s.lambda.rows() == rows;
 }
 }  // namespace
 

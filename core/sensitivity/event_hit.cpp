@@ -24,6 +24,16 @@ std::vector<const ContactPoint*> new_points(const RecordedRun& run, const Piece&
   return points;
 }
 
+// The points that persist in a piece, of a contact step or of a held one.
+std::vector<ContactPoint> persistent_points(const Piece& piece) {
+  std::vector<ContactPoint> points;
+  if (piece.contact != nullptr)
+    for (const ContactStepRecord::Contact& c : piece.contact->contacts) points.push_back(c.before.point);
+  if (piece.held != nullptr)
+    for (const PersistentContact& c : piece.held->contacts) points.push_back(c.point);
+  return points;
+}
+
 // Whether a point is one of those hit first, of a guard hit first if it is not known.
 bool is_known(const RecordedRun& run, const EventHit& hit, int guard, const ContactPoint* point) {
   if (hit.points.empty()) return run.impacts[hit.impact].guard == guard;
@@ -40,17 +50,13 @@ bool persists(const Piece& piece, int guard) {
     return std::any_of(contacts.begin(), contacts.end(),
                        [&](const DenseStepRecord::Contact& c) { return c.closed && c.point.guard == guard; });
   }
-  if (piece.contact == nullptr) return false;
-  const auto& contacts = piece.contact->contacts;
-  return std::any_of(contacts.begin(), contacts.end(),
-                     [&](const ContactStepRecord::Contact& c) { return c.before.point.guard == guard; });
+  const std::vector<ContactPoint> points = persistent_points(piece);
+  return std::any_of(points.begin(), points.end(), [&](const ContactPoint& p) { return p.guard == guard; });
 }
 
 bool persists(const Piece& piece, const ContactPoint& point) {
-  if (piece.contact == nullptr) return false;
-  const auto& contacts = piece.contact->contacts;
-  return std::any_of(contacts.begin(), contacts.end(),
-                     [&](const ContactStepRecord::Contact& c) { return same_point(c.before.point, point); });
+  const std::vector<ContactPoint> points = persistent_points(piece);
+  return std::any_of(points.begin(), points.end(), [&](const ContactPoint& p) { return same_point(p, point); });
 }
 
 EventHit event_hit(const RecordedRun& run, const Piece& piece, bool take_branch) {
@@ -86,9 +92,8 @@ void refuse_apart(const RecordedImpact& impact, const EventHit& hit) {
 }
 
 void check_beginnings(const RecordedRun& run, const Piece& piece, const Piece& next) {
-  if (next.contact == nullptr) return;
-  for (const ContactStepRecord::Contact& c : next.contact->contacts) {
-    const int guard = c.before.point.guard;
+  for (const ContactPoint& point : persistent_points(next)) {
+    const int guard = point.guard;
     bool known = persists(piece, guard);
     for (int i = 0; i < piece.impacts; ++i) known |= run.impacts[piece.first_impact + i].guard == guard;
     if (known) continue;

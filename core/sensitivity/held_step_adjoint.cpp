@@ -2,40 +2,36 @@
 
 namespace contactvi {
 
-HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages)
-    : tangent_(scene, stages), adjoint_(scene.tree, stages), lend_(2 * scene.tree.nv) {}
+HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages, int contact_points)
+    : tangent_(scene, stages, contact_points), adjoint_(scene.tree, stages), lend_(2 * scene.tree.nv) {}
 
 void HeldStepAdjoint::take(const HeldStepRecord& step, const VecX& tau, const Servo* servo) {
   tangent_.take(step, tau, servo);
   adjoint_.take(step.q0, tangent_.p_start_, step.h, tau, step.t, servo, tangent_.velocities_);
-  by_q_ = columns(tangent_.nv_, &ContactStepDirection::q);
-  by_p_ = columns(tangent_.nv_, &ContactStepDirection::p);
-  by_tau_ = columns(tangent_.nv_, &ContactStepDirection::tau);
-  by_t_ = columns(&ContactStepDirection::t);
-  by_h_ = columns(&ContactStepDirection::h);
+  const int n = tangent_.nv_, contacts = static_cast<int>(step.contacts.size());
+  ContactStepDirection d;
+  by_t_ = columns(1, d, [&](int) -> double& { return d.t; });
+  by_h_ = columns(1, d, [&](int) -> double& { return d.h; });
+  d.q = VecX::Zero(n);
+  by_q_ = columns(n, d, [&](int k) -> double& { return d.q[k]; });
+  d.p = VecX::Zero(n);
+  by_p_ = columns(n, d, [&](int k) -> double& { return d.p[k]; });
+  d.tau = VecX::Zero(n);
+  by_tau_ = columns(n, d, [&](int k) -> double& { return d.tau[k]; });
+  d.anchors = MatX::Zero(3, contacts);
+  by_anchors_ = columns(3 * contacts, d, [&](int k) -> double& { return d.anchors(k % 3, k / 3); });
 }
 
-HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, VecX ContactStepDirection::* part) {
+template <class Entry>
+HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, const ContactStepDirection& direction, Entry entry) {
   HeldStepTangent& t = tangent_;
   Columns found{MatX(t.unknowns(), count), MatX(2 * t.nv_, count)};
   const VecX none = VecX::Zero(t.unknowns());
-  ContactStepDirection direction;
-  direction.*part = VecX::Zero(count);
   for (int k = 0; k < count; ++k) {
-    (direction.*part)[k] = 1.0;
+    entry(k) = 1.0;
     t.assess(direction, none, found.off.col(k), found.ends.col(k).head(t.nv_), found.ends.col(k).tail(t.nv_));
-    (direction.*part)[k] = 0.0;
+    entry(k) = 0.0;
   }
-  return found;
-}
-
-HeldStepAdjoint::Columns HeldStepAdjoint::columns(double ContactStepDirection::* part) {
-  HeldStepTangent& t = tangent_;
-  Columns found{MatX(t.unknowns(), 1), MatX(2 * t.nv_, 1)};
-  ContactStepDirection direction;
-  direction.*part = 1.0;
-  t.assess(direction, VecX::Zero(t.unknowns()), found.off.col(0), found.ends.col(0).head(t.nv_),
-           found.ends.col(0).tail(t.nv_));
   return found;
 }
 
@@ -44,8 +40,8 @@ void HeldStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& s
   HeldStepTangent& t = tangent_;
   HeldNode& end = t.nodes_.back();
   const HeldStepRecord& s = *t.record_;
-  VecX q1(t.tree_->nq), lq_mass(t.nv_), lv(t.nv_);
-  integrate(*t.tree_, s.q0, end.displacement(), 1.0, q1);
+  const VecX& q1 = end.configuration();
+  VecX lq_mass(t.nv_), lv(t.nv_);
   const VecX lfaster = t.end_system_.solve_transposed(end.gradients().transpose() * lp);
   const VecX m = t.MinvW_ * lfaster, lp_before = lp + m;
   adjoint_.momentum(q1, s.v1, -m, lq_mass, lv);
@@ -69,6 +65,7 @@ bool HeldStepAdjoint::solve(const VecX& lq, const VecX& lp, ContactStepGradient&
   g.q = part(by_q_);
   g.p = part(by_p_);
   g.tau = part(by_tau_);
+  g.anchors = part(by_anchors_).reshaped(3, by_anchors_.off.cols() / 3);
   g.t = lt_ + part(by_t_)[0];
   g.h = lh_ + part(by_h_)[0];
   adjoint_.take_multipliers(mu.head(t.stage_unknowns()).reshaped(t.nv_, t.stages_), lend_.head(t.nv_),

@@ -11,7 +11,7 @@ namespace contactvi {
 
 class HeldStepAdjoint {
  public:
-  HeldStepAdjoint(const Scene& scene, int stages);
+  HeldStepAdjoint(const Scene& scene, int stages, int contact_points);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const HeldStepRecord& step, const VecX& tau, const Servo* servo);
@@ -26,13 +26,14 @@ class HeldStepAdjoint {
   struct Columns {
     MatX off, ends;
   };
-  Columns columns(int count, VecX ContactStepDirection::* part);
-  Columns columns(double ContactStepDirection::* part);
+  // Those of `count` numbers of a direction, which entry(k) refers to.
+  template <class Entry>
+  Columns columns(int count, const ContactStepDirection& direction, Entry entry);
   void pass_end(const VecX& lq, const VecX& lp, StepParameters& sums);
 
   HeldStepTangent tangent_;
   StepAdjoint adjoint_;
-  Columns by_q_, by_p_, by_tau_, by_t_, by_h_;
+  Columns by_q_, by_p_, by_tau_, by_t_, by_h_, by_anchors_;
   // Gradients in q1 and in p before the impulse at the end; in the times.
   VecX lend_;
   double lt_ = 0.0, lh_ = 0.0;

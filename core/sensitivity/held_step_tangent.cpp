@@ -1,5 +1,7 @@
 #include "sensitivity/held_step_tangent.hpp"
 
+#include <algorithm>
+
 namespace contactvi {
 
 namespace {
@@ -8,15 +10,18 @@ constexpr int kPasses = 3;        // the first solves, the others take the round
 const ContactStepDirection kNoDirection;
 }  // namespace
 
-HeldStepTangent::HeldStepTangent(const Scene& scene, int stages)
+HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_points)
     : scene_(&scene),
       tree_(&scene.tree),
       nv_(scene.tree.nv),
       stages_(stages),
+      fixed_(scene.tree.elements.constraint_rows),
       table_(&lobatto_table(stages)),
       step_(scene.tree, stages),
       masses_(scene.tree, 1, 1e-12, 1),
-      nodes_(static_cast<std::size_t>(stages) + 1, HeldNode(scene.tree)),
+      guards_(scene, contact_points),
+      phase_(guards_, scene.tree.nv),
+      nodes_(static_cast<std::size_t>(stages) + 1, HeldNode(scene)),
       charts_(static_cast<std::size_t>(stages), NodeChart(scene.tree)),
       weights_(stages, stages),
       to_nodes_(stages, stages + 1),
@@ -24,9 +29,26 @@ HeldStepTangent::HeldStepTangent(const Scene& scene, int stages)
       dp_mass_(scene.tree.nv),
       none_(VecX::Zero(scene.tree.nv)) {}
 
-void HeldStepTangent::refuse(const char* reason, const char* fact, const char* expected, const char* got,
-                             const char* remedy) const {
-  throw NoDerivative({reason, -1, record_->t}, fact, expected, got, remedy);
+void HeldStepTangent::refuse(const char* reason, int guard, const char* fact, const char* expected,
+                             const std::string& got, const char* remedy) const {
+  throw NoDerivative({reason, guard, record_->t}, fact, expected, got, remedy);
+}
+
+void HeldStepTangent::refuse_unsolved() const {
+  refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+         "Use a smaller dt");
+}
+
+VecX HeldStepTangent::of_node(const VecX& x, int node) const {
+  VecX found(rows_);
+  found.head(fixed_) = x.segment(stage_unknowns() + node * fixed_, fixed_);
+  found.tail(held()) = x.segment(stage_unknowns() + stages_ * fixed_ + node * held(), held());
+  return found;
+}
+
+void HeldStepTangent::set_node(VecRef x, int node, const VecX& values) const {
+  x.segment(stage_unknowns() + node * fixed_, fixed_) = values.head(fixed_);
+  x.segment(stage_unknowns() + stages_ * fixed_ + node * held(), held()) = values.tail(held());
 }
 
 void HeldStepTangent::take(const HeldStepRecord& step, const VecX& tau, const Servo* servo) {
@@ -52,12 +74,17 @@ void HeldStepTangent::place_nodes() {
     chart.take(X.col(i));
     velocities_.col(i) = chart.velocity(s.rates.col(i));
   }
+  static const std::vector<FrictionJoint> no_joints;
+  phase_.set(s.contacts, no_joints, stages_ + 1);
+  rows_ = fixed_ + phase_.count();
   VecX q(tree_->nq);
   for (int k = 0; k <= stages_; ++k) {
+    HeldNode& node = nodes_[static_cast<std::size_t>(k)];
     integrate(*tree_, s.q0, X_nodes.col(k), 1.0, q);
-    nodes_[static_cast<std::size_t>(k)].take(q, s.t + table_->d[k] * s.h, X_nodes.col(k), s.lambda.col(k));
+    if (node.take(q, s.t + table_->d[k] * s.h, X_nodes.col(k), s.lambda.col(k), s.contacts, phase_, k)) continue;
+    refuse("witness", node.refused(), "The gap of a persistent contact has no second derivative",
+           "one pair of nearest points", node.why(), "Start elsewhere, or round the edges of the shapes");
   }
-  rows_ = nodes_[0].rows();
 }
 
 // As StageConstraints has them.
@@ -90,14 +117,18 @@ void HeldStepTangent::assess(const ContactStepDirection& d, const VecX& x, VecRe
   step.tau = d.tau;
   step.parameters = d.parameters;
   step.impulses.setZero(nv_, stages_);
+  const VecX start = nodes_[0].displacements() * dq0, anchors = anchor_changes(d, start);
   for (int k = 0; k <= stages_; ++k) {
     const HeldNode& node = nodes_[static_cast<std::size_t>(k)];
     const VecX dX_k = dX_nodes.col(k), dq = node.chart().turn(dX_k, dq0);
-    if (k > 0)
-      off.segment(unknown_at(k - 1, 0), rows_) =
-          node.gradients().transpose() * dq + node.rates() * (d.t + table_->d[k] * d.h);
+    if (k > 0) {
+      VecX moved = node.displacements() * dq + node.rates() * (d.t + table_->d[k] * d.h);
+      const double part = table_->d[k], left = (1.0 - part) * (1.0 - part) * (1.0 + 2.0 * part);
+      moved.tail(held()) -= left * start.tail(held()) + (1.0 - left) * anchors.tail(held());
+      set_node(off, k - 1, moved);
+    }
     if (k == stages_) break;
-    const VecX change = node.force_change() * dq + node.gradients() * x.segment(unknown_at(k, 0), rows_);
+    const VecX change = node.force_change() * dq + node.gradients() * of_node(x, k);
     step.p += node.chart().at_start_change(node.force(), change, dX_k);
     const VecX given = node.chart().by_chart_change(node.force(), change, dX_k);
     for (int i = 0; i < stages_; ++i) step.impulses.col(i) += (table_->share[i][k] - 1.0) * given;
@@ -105,6 +136,20 @@ void HeldStepTangent::assess(const ContactStepDirection& d, const VecX& x, VecRe
   step_.resume(step, dv, dX);
   step_.residual(off.head(stage_unknowns()));
   step_.finish(step, dq1, dp1);
+}
+
+// What the rows of displacements of material points count from changes by; start: the changes of these at the start.
+VecX HeldStepTangent::anchor_changes(const ContactStepDirection& d, const VecX& start) const {
+  VecX found = VecX::Zero(rows_);
+  for (std::size_t i = 0; i < record_->contacts.size(); ++i) {
+    const PersistentContact& c = record_->contacts[i];
+    const int r = fixed_ + phase_.row(i) + 1;
+    if (c.mu == 0.0) continue;
+    if (!c.anchored) found.segment<2>(r) = start.segment<2>(r);
+    if (c.anchored && d.anchors.size() > 0)
+      found.segment<2>(r) = HeldNode::tangents(c) * d.anchors.col(static_cast<Eigen::Index>(i));
+  }
+  return found;
 }
 
 void HeldStepTangent::make_matrix() {
@@ -119,33 +164,32 @@ void HeldStepTangent::make_matrix() {
   }
   stage_factor_.compute(matrix_.topLeftCorner(own, own));
   answers_ = stage_factor_.solve(matrix_.topRightCorner(own, held));
-  if (!answers_.allFinite())
-    refuse("step", "The derivative of a step was not solved", "tangent equations with a solution", "none",
-           "Use a smaller dt");
-  row_system_.compute(-matrix_.bottomLeftCorner(held, own) * answers_, held);
+  if (!answers_.allFinite()) refuse_unsolved();
+  row_system_.compute(-matrix_.bottomLeftCorner(held, own) * answers_, stages_ * fixed_);
   const MatX& free = row_system_.free();
-  if (free.cols() > 0 && (answers_ * free).cwiseAbs().maxCoeff() > kShared * answers_.cwiseAbs().maxCoeff())
-    refuse("redundant", "The motion depends on how constraints share their load",
+  if (free.cols() == 0 || !((answers_ * free).cwiseAbs().maxCoeff() > kShared * answers_.cwiseAbs().maxCoeff())) return;
+  if (record_->contacts.empty())
+    refuse("redundant", -1, "The motion depends on how constraints share their load",
            "gradients of constraints that depend on each other, or clearly do not", "a nearly singular configuration",
            "Start elsewhere, or use fewer constraints");
+  refuse("redundant", record_->contacts[0].point.guard, "The motion depends on how contact points share their load",
+         "a motion that the laws of contact determine", "points near a singular configuration", "Start elsewhere");
 }
 
 // The equations of the impulse at the end.
 void HeldStepTangent::take_end() {
   const HeldNode& end = nodes_.back();
-  VecX q(tree_->nq);
-  integrate(*tree_, record_->q0, end.displacement(), 1.0, q);
-  masses_.place_node(q);
+  masses_.place_node(end.configuration());
   MinvW_ = end.gradients();
   masses_.solve_masses(MinvW_);
-  end_system_.compute(end.gradients().transpose() * MinvW_, rows_);
+  end_system_.compute(end.gradients().transpose() * MinvW_, fixed_);
 }
 
-VecX HeldStepTangent::solve_matrix(const VecX& right) const {
+VecX HeldStepTangent::solve_matrix(const VecX& right, const VecX& size, bool& agree) const {
   const int own = stage_unknowns(), held = unknowns() - own;
   VecX x(unknowns()), lambda;
   x.head(own) = -stage_factor_.solve(right.head(own));
-  row_system_.solve(right.tail(held) + matrix_.bottomLeftCorner(held, own) * x.head(own), VecX::Zero(held), lambda);
+  agree = row_system_.solve(right.tail(held) + matrix_.bottomLeftCorner(held, own) * x.head(own), size, lambda);
   x.head(own) -= answers_ * lambda;
   x.tail(held) = lambda;
   return x;
@@ -163,26 +207,42 @@ VecX HeldStepTangent::solve_transposed(const VecX& right) const {
   return mu;
 }
 
+// Of the terms of the rows over such a length of time [s].
+VecX HeldStepTangent::row_sizes(const ContactStepDirection& d, double length) const {
+  const double q = std::max(d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0);
+  const double p = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
+  const MatX& W = nodes_.back().gradients();
+  return length * (q / record_->h * W.cwiseAbs() + p * MinvW_.cwiseAbs()).colwise().sum().transpose();
+}
+
 void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp1) {
   VecX x = VecX::Zero(unknowns()), off(unknowns()), dq(nv_), dp(nv_);
+  const VecX size = row_sizes(d, record_->h), none = VecX::Zero(rows_ * stages_);
+  VecX sizes(rows_ * stages_);
+  for (int k = 0; k < stages_; ++k) {
+    sizes.segment(k * fixed_, fixed_) = size.head(fixed_);
+    sizes.segment(stages_ * fixed_ + k * held(), held()) = size.tail(held());
+  }
+  bool agree = true, settled = true;
   for (int pass = 0; pass < kPasses; ++pass) {
     assess(d, x, off, dq, dp);
-    x += solve_matrix(off);
+    x += solve_matrix(off, pass == 0 ? sizes : none, pass == 0 ? agree : settled);
   }
   assess(d, x, off, dq, dp);
-  if (!dq.allFinite() || !dp.allFinite())
-    refuse("step", "The derivative of a step was not solved", "tangent equations with a solution", "none",
-           "Use a smaller dt");
+  if (!dq.allFinite() || !dp.allFinite()) refuse_unsolved();
   HeldNode& end = nodes_.back();
-  VecX q1(tree_->nq);
-  integrate(*tree_, record_->q0, end.displacement(), 1.0, q1);
+  const VecX& q1 = end.configuration();
   step_.momentum(q1, record_->v1, dq, none_, dp_mass_);
   if (d.parameters != nullptr) step_.add_momentum(q1, record_->v1, *d.parameters, dp_mass_);
   dp += end.force_change() * dq;
   VecX lambda;
   const VecX faster =
       end.speed_change(record_->v1) * dq + MinvW_.transpose() * (dp - dp_mass_) + end.accelerations() * (d.t + d.h);
-  end_system_.solve(faster, VecX::Zero(rows_), lambda);
+  if (!end_system_.solve(faster, row_sizes(d, 1.0), lambda) || !agree)
+    refuse("redundant", record_->contacts[0].point.guard,
+           "Contact points that share their load contradict each other along a direction",
+           "a direction that keeps the points of a face closed together", "one that opens some of them",
+           "Start with the bodies apart, or in touch at one point");
   dq1 = dq;
   dp1 = dp + end.gradients() * lambda;
 }

@@ -76,7 +76,7 @@ void PieceInputs::limit(const Piece& piece) {
   }
   held_.clear();
   servo_.held.assign(static_cast<std::size_t>(tree_->nv), 0);
-  if (piece.persistent) return;
+  if (piece.persistent && piece.held == nullptr) return;
   const int s = static_cast<int>(piece.velocities.cols());
   const GaussTable& table = gauss_table(s);
   for (const int d : limited_) {
