@@ -20,6 +20,8 @@ struct PersistentContact {
   bool is_new = false;          // while an event is resolved: the contact was not closed before it
 
   int rows() const { return mu > 0.0 ? 3 : 1; }
+  // Whether it is a material point that sticks at a place, and not surfaces that roll on each other.
+  bool keeps_place() const { return mu > 0.0 && sticks && point.material; }
 };
 
 // The result of a step for one persistent contact.

@@ -104,7 +104,7 @@ bool ContactModes::is_paradox(std::size_t i) const {
 bool ContactModes::have_derivatives() const {
   const std::vector<PersistentContact>& contacts = step_->contacts();
   return std::all_of(contacts.begin(), contacts.end(),
-                     [](const PersistentContact& c) { return c.mu == 0.0 || (c.sticks && c.point.material); });
+                     [](const PersistentContact& c) { return c.mu == 0.0 || c.sticks; });
 }
 
 bool ContactModes::fits(const VecX& q1) {

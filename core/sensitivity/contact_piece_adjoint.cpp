@@ -83,7 +83,7 @@ void ContactPieceAdjoint::leave_held_anchors() {
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   held_anchors_.setZero(3, static_cast<Eigen::Index>(contacts.size()));
   for (std::size_t i = 0; i < contacts.size(); ++i)
-    if (contacts[i].mu > 0.0) held_anchors_.col(static_cast<Eigen::Index>(i)) = take_anchor(contacts[i].point);
+    if (contacts[i].keeps_place()) held_anchors_.col(static_cast<Eigen::Index>(i)) = take_anchor(contacts[i].point);
   finish();
   anchors_.clear();
 }
@@ -167,7 +167,7 @@ void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradie
   lp = gradient_.p;
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
-    if (contacts[i].mu == 0.0) continue;
+    if (!contacts[i].keeps_place()) continue;
     const Vec3 gradient = held_anchors_.col(static_cast<Eigen::Index>(i));
     if (contacts[i].anchored) {
       anchors_.push_back(

@@ -169,7 +169,7 @@ std::vector<ContactPieces::Anchor> ContactPieces::held_anchors(const RunColumns&
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const PersistentContact& c = contacts[i];
-    if (c.mu == 0.0) continue;
+    if (!c.keeps_place()) continue;
     found.push_back(
         {c.point, c.anchored ? anchor_of(c.point)->change : MatX(held_->start_place_change(i) * columns.q)});
   }

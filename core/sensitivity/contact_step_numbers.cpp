@@ -402,7 +402,8 @@ bool belongs(const Scene& scene, const HeldStepRecord& s) {
   Eigen::Index rows = tree.elements.constraint_rows;
   for (const PersistentContact& c : s.contacts) {
     if (!belongs(scene, c.point) || !(c.mu >= 0.0)) return false;
-    if (c.mu > 0.0 && !(c.sticks && c.point.material && c.point.kind == PointKind::kVertex)) return false;
+    if (c.mu > 0.0 && !c.sticks) return false;
+    if (c.keeps_place() && c.point.kind != PointKind::kVertex) return false;
     rows += c.rows();
   }
   return s.h > 0.0 && s.q0.size() == tree.nq && s.p0.size() == tree.nv && s.v1.size() == tree.nv &&

@@ -55,7 +55,7 @@ bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda,
 void HeldNode::set_displacements(const std::vector<PersistentContact>& contacts) {
   displacements_ = gradients_.transpose();
   for (std::size_t i = 0; i < contacts.size(); ++i) {
-    if (contacts[i].mu == 0.0) continue;
+    if (!contacts[i].keeps_place()) continue;
     const int r = first_[i];
     displacements_.middleRows(r + 1, 2) = tangents(contacts[i]) * place_change(contacts[i].point);
   }

@@ -1,5 +1,5 @@
 // The rows of a held step at one of its nodes, and how they change with the configuration there: those of the
-// constraints, then those of the contacts (contact/persistent_rows.hpp), of which none slides or rolls.
+// constraints, then those of the contacts (contact/persistent_rows.hpp), of which none slides with friction.
 #pragma once
 
 #include "contact/persistent_rows.hpp"
@@ -14,8 +14,8 @@ class HeldNode {
   explicit HeldNode(const Scene& scene);
 
   // The rows at q and t [s], at the displacement X from the start of the step, with impulses lambda (rows,). phase: set
-  // to the contacts of the step; number: of the node among its places. False where the gap of a contact has no second
-  // derivative; why() says it.
+  // to the contacts of the step; number: of the node, or of a stage, among its places. False where the gap of a contact
+  // has no second derivative; why() says it.
   bool take(const VecX& q, double t, const VecX& X, const VecX& lambda, const std::vector<PersistentContact>& contacts,
             PersistentRows& phase, int number);
   const char* why() const { return why_; }

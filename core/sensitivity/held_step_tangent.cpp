@@ -21,6 +21,7 @@ HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_poi
       masses_(scene.tree, 1, 1e-12, 1),
       guards_(scene, contact_points),
       phase_(guards_, scene.tree.nv),
+      at_stage_(scene),
       nodes_(static_cast<std::size_t>(stages) + 1, HeldNode(scene)),
       charts_(static_cast<std::size_t>(stages), NodeChart(scene.tree)),
       weights_(stages, stages),
@@ -75,15 +76,26 @@ void HeldStepTangent::place_nodes() {
     velocities_.col(i) = chart.velocity(s.rates.col(i));
   }
   static const std::vector<FrictionJoint> no_joints;
-  phase_.set(s.contacts, no_joints, stages_ + 1);
+  phase_.set(s.contacts, no_joints, 2 * stages_ + 1);
   rows_ = fixed_ + phase_.count();
+  rolling_.clear();
+  for (int r = 0; r < phase_.count(); ++r)
+    if (phase_.by_rate(r)) rolling_.push_back(fixed_ + r);
   VecX q(tree_->nq);
-  for (int k = 0; k <= stages_; ++k) {
-    HeldNode& node = nodes_[static_cast<std::size_t>(k)];
-    integrate(*tree_, s.q0, X_nodes.col(k), 1.0, q);
-    if (node.take(q, s.t + table_->d[k] * s.h, X_nodes.col(k), s.lambda.col(k), s.contacts, phase_, k)) continue;
+  const auto place = [&](HeldNode& node, double part, const VecX& X_node, const VecX& lambda, int number) {
+    integrate(*tree_, s.q0, X_node, 1.0, q);
+    if (node.take(q, s.t + part * s.h, X_node, lambda, s.contacts, phase_, number)) return;
     refuse("witness", node.refused(), "The gap of a persistent contact has no second derivative",
            "one pair of nearest points", node.why(), "Start elsewhere, or round the edges of the shapes");
+  };
+  for (int k = 0; k <= stages_; ++k)
+    place(nodes_[static_cast<std::size_t>(k)], table_->d[k], X_nodes.col(k), s.lambda.col(k), k);
+  roll_W_.clear();
+  roll_change_.clear();
+  for (int i = 0; i < stages_ && !rolling_.empty(); ++i) {
+    place(at_stage_, gauss_table(stages_).c[i], X.col(i), VecX::Zero(rows_), stages_ + 1 + i);
+    roll_W_.push_back(at_stage_.gradients()(Eigen::all, rolling_));
+    roll_change_.push_back(at_stage_.speed_change(velocities_.col(i))(rolling_, Eigen::all));
   }
 }
 
@@ -125,6 +137,11 @@ void HeldStepTangent::assess(const ContactStepDirection& d, const VecX& x, VecRe
       VecX moved = node.displacements() * dq + node.rates() * (d.t + table_->d[k] * d.h);
       const double part = table_->d[k], left = (1.0 - part) * (1.0 - part) * (1.0 + 2.0 * part);
       moved.tail(held()) -= left * start.tail(held()) + (1.0 - left) * anchors.tail(held());
+      if (!rolling_.empty()) {
+        const auto i = static_cast<std::size_t>(k - 1);
+        const VecX turned = charts_[i].turn(dX.col(k - 1), dq0);
+        moved(rolling_) = record_->h * (roll_W_[i].transpose() * dv.col(k - 1) + roll_change_[i] * turned);
+      }
       set_node(off, k - 1, moved);
     }
     if (k == stages_) break;
@@ -144,7 +161,7 @@ VecX HeldStepTangent::anchor_changes(const ContactStepDirection& d, const VecX& 
   for (std::size_t i = 0; i < record_->contacts.size(); ++i) {
     const PersistentContact& c = record_->contacts[i];
     const int r = fixed_ + phase_.row(i) + 1;
-    if (c.mu == 0.0) continue;
+    if (!c.keeps_place()) continue;
     if (!c.anchored) found.segment<2>(r) = start.segment<2>(r);
     if (c.anchored && d.anchors.size() > 0)
       found.segment<2>(r) = HeldNode::tangents(c) * d.anchors.col(static_cast<Eigen::Index>(i));

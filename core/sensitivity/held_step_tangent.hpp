@@ -6,7 +6,8 @@
 //   d(W_k Lambda_k) = W_k dLambda_k + (dW_k . dq_k) Lambda_k,   dq_k the change of the configuration at node k,
 // and beside them stand the rows, W_k^T dq_k + (d phi/dt) dt_k = 0 at the nodes after the first. What the rows of
 // contacts are off by at the start goes within the step, as the step has it; where a material point sticks its
-// displacement counts from an anchor, or from the start. As a matrix
+// displacement counts from an anchor, or from the start. Rows of surfaces that roll stand at the stages instead,
+// W_i^T dv_i + (dW_i . dq_i)^T v_i = 0. As a matrix
 //   [A B; C 0] (dU, dLambda) + (right sides) = 0,
 // made column by column, it is solved by a factor of A and one of C A^-1 B, in which rows may depend on each other. The
 // impulse at the end follows from the velocities of the rows there.
@@ -69,11 +70,14 @@ class HeldStepTangent {
   Guards guards_;
   PersistentRows phase_;
   const HeldStepRecord* record_ = nullptr;
-  std::vector<HeldNode> nodes_;    // s + 1
-  std::vector<NodeChart> charts_;  // of the stages
-  MatX weights_, to_nodes_;        // h a_ij as [j, i]; h times displacements at the nodes of rates, [j, k], (s, s + 1)
-  VecX p_start_;                   // with all impulses but the last one
-  MatX velocities_, impulses_;     // at the stages, (nv, s)
+  std::vector<int> rolling_;  // rows of velocities
+  HeldNode at_stage_;
+  std::vector<MatX> roll_W_, roll_change_;  // of these at each stage: W (nv, count), d(W^T v)/dq (count, nv)
+  std::vector<HeldNode> nodes_;             // s + 1
+  std::vector<NodeChart> charts_;           // of the stages
+  MatX weights_, to_nodes_;     // h a_ij as [j, i]; h times displacements at the nodes of rates, [j, k], (s, s + 1)
+  VecX p_start_;                // with all impulses but the last one
+  MatX velocities_, impulses_;  // at the stages, (nv, s)
   StepDirection step_direction_;
   // The matrix, and what a unit of each unknown changes the end by, (2 nv, unknowns).
   MatX matrix_, ends_;

@@ -22,13 +22,13 @@ from helpers import constrained_scenes as scenes
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
 WITHOUT_FRICTION = [name for name in SMOOTH if "friction" not in name]
-# Contacts without friction, and points that stick, in steps without and with constraints.
+# Contacts without friction, and those that stick or roll, in steps without and with constraints.
 HELD = [
     "a ball slides", "a ball slides down a plane", "a corner slides", "a corner sticks",
     "a box falls on a corner, an edge and its face", "a ball slides in a trough against a wall",
-    "a joint stays at its limit", "an arm slides",
+    "a joint stays at its limit", "an arm slides", "a ball rolls at once",
 ]  # fmt: skip
-HELD_BESIDE_CONSTRAINTS = ["a driven arm slides", "a ball with a pendulum slides"]
+HELD_BESIDE_CONSTRAINTS = ["a driven arm slides", "a ball with a pendulum slides", "a ball with a pendulum rolls"]
 IMPACTS = [name for name in TOUCHING if "bounces" in name or "strikes" in name]
 
 
@@ -67,7 +67,7 @@ def test_impacts(name, order):
 
 
 @pytest.mark.parametrize("name", ["a driven arm slips", "a ball with a box rolls off another"])
-def test_contact_steps_follow_where_contacts_slip_or_roll(name):
+def test_contact_steps_follow_where_contacts_slip(name):
     """They are of order 2, and the run says for how long; the adjoint goes through both kinds of steps."""
     start, duration, _, _ = TOUCHING[name]
     scene, q, v = start()
@@ -136,6 +136,16 @@ def test_a_face_that_rests():
     options = {"duration": 0.1, "dt": 0.02, "order": 4}
     traj, q, v = recorded((scene, q, v), **options)
     check((scene, q, v), [0, 1, 5], (2e-4, 1e-4), **options)
+
+
+@pytest.mark.parametrize("name", ["a ball slips and rolls", "an arm comes to rest", "a rim rolls"])
+def test_smooth_steps_follow_where_a_slip_has_ended(name):
+    make, duration, _, _ = RUNS[name]
+    start = make()
+    options = {"duration": duration, "dt": 0.01, "order": 4, "dt_contact": 0.01}
+    traj = check(start, list(range(2 * start[0].nv)), (1e-4, 5e-5), **options)
+    assert 0 < traj.stats.contact_steps < 15
+    assert transpose_error(traj, ["q0", "v0", "control", "friction"]) <= 1e-11
 
 
 @pytest.mark.parametrize("order", [4, 8])
