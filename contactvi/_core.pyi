@@ -429,9 +429,9 @@ def linear_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(N
     One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which solves one tangent equation per column.
     """
 
-def linear_contact_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], momentum: bool, h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]] | dict[str, Any]:
+def linear_contact_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], momentum: bool, h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0, order: int = 2, tol: float = 1e-12) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]] | dict[str, Any]:
     """
-    As linear_step(), of a step of order 2 with impulses of constraints and joint friction, without contacts; or the reason why there is none.
+    As linear_step(), of a step with impulses of constraints, without contacts, and of one of order 2 with joint friction; or the reason why there is none.
     """
 
 class Linearizer:
@@ -668,7 +668,7 @@ class KeptContactSteps:
     The contact steps, dense ones too, of a call, as their derivatives need them.
     """
 
-    def __init__(self, scene: Scene, steps: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], dense: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+    def __init__(self, scene: Scene, steps: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], dense: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], held: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """From their numbers in a file."""
 
     def step_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
@@ -679,6 +679,9 @@ class KeptContactSteps:
 
     def dense_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """Return the dense steps as numbers, for files."""
+
+    def held_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """Return the smooth steps that keep rows as numbers, for files."""
 
 class Snapshot:
     """All that the rest of a run depends on."""

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+# The kinds of steps and impacts of `RunInputs.contact_steps`, as files name their numbers.
+STORED = ("contact_steps", "impact_blocks", "dense_steps", "held_steps")
+
+
 @dataclass(frozen=True, eq=False)
 class RunInputs:
     """What acted in the steps of a run, one row per step.
@@ -23,9 +27,9 @@ class RunInputs:
             contact, or at those of speed, and ropes with dampers that became taut.
         contact_steps: those with persistent contacts and dense ones, one contactvi._core.KeptContactSteps per call of
             the engine.
-        stored_steps, stored_blocks, stored_dense: those of earlier calls, read from a file or a pickle, as numbers,
-            shapes (i,), (j,) and (k,): the steps, the impacts of several points, and the dense steps; None where
-            `contact_steps` holds all.
+        stored_steps, stored_blocks, stored_dense, stored_held: those of earlier calls, read from a file or a pickle, as
+            numbers, one dimension each: the contact steps, the impacts of several points, the dense steps, and the
+            smooth steps with constraints; None where `contact_steps` holds all.
     """
 
     control: Array | None
@@ -35,19 +39,18 @@ class RunInputs:
     stored_steps: Array | None = None
     stored_blocks: Array | None = None
     stored_dense: Array | None = None
+    stored_held: Array | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle and deepcopy keep: contact steps as numbers, which the engine reads again."""
         kept = self.stored()
-        numbers = (kept["contact_steps"], kept["impact_blocks"], kept["dense_steps"])
-        return RunInputs, (self.control, self.target, self.saturated, (), *numbers)
+        return RunInputs, (self.control, self.target, self.saturated, (), *(kept[name] for name in STORED))
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what a file keeps of them, by name."""
         found: dict[str, NDArray[Any]] = {"saturated": np.array(self.saturated, dtype=np.int64)}
-        earlier = (self.stored_steps, self.stored_blocks, self.stored_dense)
-        names = ("contact_steps", "impact_blocks", "dense_steps")
-        found.update(zip(names, _numbers(earlier, self.contact_steps), strict=True))
+        earlier = (self.stored_steps, self.stored_blocks, self.stored_dense, self.stored_held)
+        found.update(zip(STORED, _numbers(earlier, self.contact_steps), strict=True))
         for name, values in (("control", self.control), ("target", self.target)):
             if values is not None:
                 found[name] = np.asarray(values, dtype=float)
@@ -65,7 +68,7 @@ class GrowingInputs:
         self.saturated = 0
         self._blocks: list[tuple[int, Array | None, Array | None]] = []
         self._contact_steps: list[Any] = []
-        self._earlier: tuple[Array | None, Array | None, Array | None] = (None, None, None)  # of a pickle, as numbers
+        self._earlier: tuple[Array | None, ...] = (None,) * len(STORED)  # of a pickle, as numbers
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what pickle keeps: contact steps as numbers."""
@@ -105,12 +108,11 @@ def _joined(counts: Sequence[int], parts: Sequence[Array | None]) -> Array | Non
     )  # fmt: skip
 
 
-def _numbers(earlier: Sequence[Array | None], calls: Sequence[Any]) -> tuple[Array, Array, Array]:
-    """Return contact steps, impacts of several points and dense steps as numbers: those given so, then of the calls."""
-    steps, blocks, dense = ([] if numbers is None else [numbers] for numbers in earlier)
+def _numbers(earlier: Sequence[Array | None], calls: Sequence[Any]) -> tuple[Array, ...]:
+    """Return all kinds of `STORED` as numbers: those given so, then those of the calls."""
+    kinds: list[list[Array]] = [[] if numbers is None else [numbers] for numbers in earlier]
     for kept in calls:
-        steps.append(kept.step_numbers())
-        blocks.append(kept.block_numbers())
-        dense.append(kept.dense_numbers())
-    found = [np.concatenate(parts) if parts else np.zeros(0) for parts in (steps, blocks, dense)]
-    return found[0], found[1], found[2]
+        of_call = (kept.step_numbers(), kept.block_numbers(), kept.dense_numbers(), kept.held_numbers())
+        for parts, numbers in zip(kinds, of_call, strict=True):
+            parts.append(numbers)
+    return tuple(np.concatenate(parts) if parts else np.zeros(0) for parts in kinds)

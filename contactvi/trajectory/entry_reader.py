@@ -120,12 +120,16 @@ class EntryReader:
         nv = self._sizes["v"]
         control, target = self._per_step("input/control", nv), self._per_step("input/target", 2 * nv)
         steps, blocks = (self.entry(f"input/{name}", (None,)) for name in ("contact_steps", "impact_blocks"))
-        # Files of versions whose dense steps had no derivatives lack it.
-        dense = self.entry("input/dense_steps", (None,)) if "input/dense_steps" in self._entries else np.zeros(0)
-        if not all(np.all(np.isfinite(numbers)) for numbers in (steps, blocks, dense)):
+        # Files of versions in which such steps had no derivatives lack them.
+        dense, held = (
+            self.entry(name, (None,)) if name in self._entries else np.zeros(0)
+            for name in ("input/dense_steps", "input/held_steps")
+        )
+        if not all(np.all(np.isfinite(numbers)) for numbers in (steps, blocks, dense, held)):
             self._refuse("contact steps or impacts of several points that are not finite")
         saturated = int(self.entry("input/saturated", (), int))
-        return RunInputs(control, target, saturated, stored_steps=steps, stored_blocks=blocks, stored_dense=dense)
+        numbers = {"stored_steps": steps, "stored_blocks": blocks, "stored_dense": dense, "stored_held": held}
+        return RunInputs(control, target, saturated, **numbers)
 
     def _per_step(self, name: str, width: int) -> NDArray[np.float64] | None:
         if name not in self._entries:

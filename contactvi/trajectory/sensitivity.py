@@ -293,13 +293,14 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
 
 
 def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.KeptContactSteps]:
-    """Return the steps with persistent contacts; ContactviError for numbers that are not those of the scene."""
+    """Return the steps with contacts or constraints; ContactviError for numbers that are not those of the scene."""
     from contactvi import _core
 
     steps, blocks, dense = inputs.stored_steps, inputs.stored_blocks, inputs.stored_dense
     if steps is None or blocks is None or dense is None:
         return list(inputs.contact_steps)
-    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense), *inputs.contact_steps]
+    held = np.zeros(0) if inputs.stored_held is None else inputs.stored_held
+    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense, held), *inputs.contact_steps]
 
 
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:

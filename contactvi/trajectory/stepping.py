@@ -76,7 +76,8 @@ def _persistent_stepping(traj: Run, phases: Mapping[str, NDArray[Any]] | None) -
     lengths = _lengths(phases["dt"][stepped])
     if taken < (1.0 - _ALL) * spans.sum():
         return f", {what}, {taken:.4g} s of it with order 2, dt{lengths}"
-    return f", {'constraints met' if constrained else what} with order 2, dt{lengths}"
+    everywhere = constrained and spans.sum() >= (1.0 - _ALL) * float(traj.status.time - traj.t[0])
+    return f", {'constraints met' if everywhere else what} with order 2, dt{lengths}"
 
 
 def _contact_steps(

@@ -98,6 +98,7 @@ input/target          (k, 2 nv)      references of the servos, positions and the
 input/contact_steps   (i,)           steps with persistent contacts (core/sensitivity/contact_step_numbers.hpp)
 input/impact_blocks   (j,)           impacts of several points, in the same file
 input/dense_steps     (d,)           dense steps, in the same file
+input/held_steps      (e,)           smooth steps with constraints, in the same file
 array/0, array/1 ...  any            arrays (meshes) that the header refers to
 ===================== ============== ===========================================================================
 

@@ -153,7 +153,8 @@ Dict status(Batch& batch, std::size_t k) {
 nb::typed<nb::tuple, Array1, Array1, Array1, Dict> result(Batch& batch, std::size_t k) {
   BatchOutcome& o = outcome(batch, k);
   const Scene& s = *batch.start(k).scene;
-  KeptContactSteps kept{std::move(o.contact_steps), std::move(o.impact_blocks), std::move(o.kept_dense_steps)};
+  KeptContactSteps kept{std::move(o.contact_steps), std::move(o.impact_blocks), std::move(o.kept_dense_steps),
+                        std::move(o.held_steps)};
   const VecX start_p = public_momentum(s.tree, batch.start(k).q, o.start_p);
   const VecX end_p = public_momentum(s.tree, o.state.q, o.state.p);
   Dict d = run_results(s, batch.options(), o.recording, o.state, o.counters, std::move(kept), o.status, o.seconds);

@@ -102,7 +102,7 @@ Dict run_results(const Scene& s, const SimulatorOptions& options, Recording& rec
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
   d["dense"] = dense_steps(s, recording);
-  const bool none = kept.steps.empty() && kept.blocks.empty() && kept.dense.empty();
+  const bool none = kept.steps.empty() && kept.blocks.empty() && kept.dense.empty() && kept.held.empty();
   d["kept_steps"] = none ? nb::object(nb::none()) : nb::cast(std::move(kept));
   d["stats"] = stats(state, counters, seconds);
   add_status(s, status, d);

@@ -310,12 +310,20 @@ class Recorded {
   void add_contact_steps(const std::vector<const KeptContactSteps*>& kept) {
     std::map<double, const ContactStepRecord*> at;
     std::map<double, const DenseStepRecord*> dense;
+    std::map<double, const HeldStepRecord*> held;
     for (const KeptContactSteps* block : kept) {
       for (const ContactStepRecord& step : block->steps) at[step.t] = &step;
       for (const DenseStepRecord& step : block->dense) dense[step.t] = &step;
+      for (const HeldStepRecord& step : block->held) held[step.t] = &step;
     }
     for (Piece& piece : run_.pieces) {
-      if (!piece.persistent) continue;
+      if (!piece.persistent) {
+        const auto step = held.find(piece.t);
+        if (step != held.end() && step->second->h == piece.h) piece.held = step->second;
+        if (piece.held != nullptr && piece.held->rates.cols() != run_.stages) throw Error("rates: wrong shape");
+        piece.persistent = piece.held == nullptr && scene_.tree.elements.constraint_rows > 0;  // it was not kept
+        continue;
+      }
       const auto step = dense.find(piece.t);
       if (step != dense.end() && step->second->h == piece.h) {
         piece.dense = step->second;

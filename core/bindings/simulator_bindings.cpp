@@ -35,7 +35,8 @@ namespace {
 
 // What the world has recorded and where it stands after it.
 Dict results(World& sim, SteppedWorld::Record record) {
-  KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks(), sim.take_dense_steps()};
+  KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks(), sim.take_dense_steps(),
+                        sim.take_held_steps()};
   // The error that interrupted the run is handed over as data, so that the partial result is not lost with it.
   nb::object error = nb::none();
   if (UserErrors::any()) error = UserErrors::take();
@@ -210,13 +211,15 @@ void expose_simulator(nb::module_& m) {
                                "The contact steps, dense ones too, of a call, as their derivatives need them.")
       .def(
           "__init__",
-          [](KeptContactSteps* kept, const Scene& scene, const VecX& steps, const VecX& blocks, const VecX& dense) {
+          [](KeptContactSteps* kept, const Scene& scene, const VecX& steps, const VecX& blocks, const VecX& dense,
+             const VecX& held) {
             const auto size = [](const VecX& x) { return static_cast<std::size_t>(x.size()); };
             new (kept) KeptContactSteps{contact_steps_of(scene, steps.data(), size(steps)),
                                         impact_blocks_of(scene, blocks.data(), size(blocks)),
-                                        dense_steps_of(scene, dense.data(), size(dense))};
+                                        dense_steps_of(scene, dense.data(), size(dense)),
+                                        held_steps_of(scene, held.data(), size(held))};
           },
-          "scene"_a, "steps"_a, "blocks"_a, "dense"_a, "From their numbers in a file.")
+          "scene"_a, "steps"_a, "blocks"_a, "dense"_a, "held"_a, "From their numbers in a file.")
       .def(
           "step_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.steps)); },
           "Return the contact steps as numbers, for files.")
@@ -225,7 +228,10 @@ void expose_simulator(nb::module_& m) {
           "Return the impacts of several points as numbers, for files.")
       .def(
           "dense_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.dense)); },
-          "Return the dense steps as numbers, for files.");
+          "Return the dense steps as numbers, for files.")
+      .def(
+          "held_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.held)); },
+          "Return the smooth steps that keep rows as numbers, for files.");
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.")
       .def(
           "__init__",

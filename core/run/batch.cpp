@@ -147,6 +147,7 @@ void Batch::make(Maker& maker, const BatchStart& start, SideBySide* company, Bat
   outcome.contact_steps = world.take_contact_steps();
   outcome.impact_blocks = world.take_impact_blocks();
   outcome.kept_dense_steps = world.take_dense_steps();
+  outcome.held_steps = world.take_held_steps();
 }
 
 void Batch::begin(const BatchStart& start, World& world, BatchOutcome& outcome) const {

@@ -46,6 +46,7 @@ struct BatchOutcome {
   std::vector<ContactStepRecord> contact_steps;
   std::vector<ImpactBlockRecord> impact_blocks;
   std::vector<DenseStepRecord> kept_dense_steps;
+  std::vector<HeldStepRecord> held_steps;
 };
 
 class Batch {

@@ -18,8 +18,10 @@ constexpr double kResolved = 1e-3, kEnergyRounding = 1e-12;
 constexpr double kAtOnce = 1e-9;  // [s] of 1 s + t: spans follow each other
 }  // namespace
 
+// Held contacts have no derivatives that are known.
 bool Simulator::may_hold_contacts(double time) const {
-  return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
+  return keeps_constraints_ && !options_.gradient &&
+         time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }
 
 bool Simulator::is_near_contact_step(double h) const { return h <= kNearContactStep * contact_dt(); }
@@ -53,6 +55,8 @@ bool Simulator::held_step_keeps_energy() {
   return std::abs(change) <=
          kResolved * (T0 + T1 + std::abs(V1 - V0)) + kEnergyRounding * (std::abs(V0) + std::abs(V1));
 }
+
+void Simulator::keep_held_step() { kept_held_steps_.push_back(held_step_record(integrator_, state_.q, state_.p)); }
 
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.
 void Simulator::change_contact(int function, double time, const VecX& v, bool moved, Recording& recording) {

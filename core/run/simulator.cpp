@@ -26,11 +26,12 @@ bool dissipates(const Tree& tree) {
 
 }  // namespace
 
-// Order 2 is that of contact steps, and so are steps whose derivatives are wanted. Implicit maps solve steps of their
-// own, which know no joint friction but that of contact steps.
+// Order 2 is that of contact steps. Implicit maps solve steps of their own, which know no joint friction but that of
+// contact steps. Where derivatives are wanted those of the steps have to be known: without joint friction, and beside
+// no implicit map.
 bool keeps_constraints(const Tree& tree, const SimulatorOptions& options) {
-  return options.stages > 1 && !options.gradient &&
-         (tree.elements.friction_dofs.empty() || options.impact == ImpactMap::kCtec);
+  const bool friction = !tree.elements.friction_dofs.empty(), ctec = options.impact == ImpactMap::kCtec;
+  return options.stages > 1 && (options.gradient ? !friction && ctec : !friction || ctec);
 }
 
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
@@ -429,14 +430,16 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     return take_event(interval, h, shorter, recording);
   }
   if (found != Search::kNone) return end_failed_search(found, at);
+  // The search may have solved parts of the step: its impulses are to be those of the whole.
+  if ((holds || keeps_held_steps()) && integrator_.length() != h &&
+      !integrator_.solve_part(path_, 1.0, state_.q, state_.p, interval.tau))
+    return reject();
   if (holds) {
-    // The search may have solved parts of the step: its impulses are to be those of the whole.
-    if (integrator_.length() != h && !integrator_.solve_part(path_, 1.0, state_.q, state_.p, interval.tau))
-      return reject();
     if (sinks_deeper(recording, at + h)) return reject();
     if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
     modes_.commit(at, state_.step, options_.record_contacts, recording);
   }
+  if (keeps_held_steps()) keep_held_step();
   state_.work.add(work);
   control.flew(options_.dt);
   record_segment(at, h, p1_, recording);
@@ -484,6 +487,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const bool holds = modes_.active();
   if (before > 0.0) {
     if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
+    if (keeps_held_steps()) keep_held_step();
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);

@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 
+#include "contact/held_step_record.hpp"
 #include "model/step_costs.hpp"
 #include "run/contact_change.hpp"
 #include "run/contact_modes.hpp"
@@ -101,6 +102,7 @@ class Simulator {
   // The contact steps kept since the last call of this, without those of islands.
   std::vector<ContactStepRecord> take_contact_steps() { return std::exchange(kept_steps_, {}); }
   std::vector<DenseStepRecord> take_dense_steps() { return std::exchange(kept_dense_steps_, {}); }
+  std::vector<HeldStepRecord> take_held_steps() { return std::exchange(kept_held_steps_, {}); }
   std::vector<ImpactBlockRecord> take_impact_blocks() { return sequence_.take_blocks(); }
 
   // Makes it what it was when it was made: the next reset() starts a run with the same digits as a new simulator.
@@ -233,6 +235,9 @@ class Simulator {
   bool leave_to_contact_steps(double time);
   bool shorten_step(double h, double time);
   bool held_step_keeps_energy();
+  // Whether the smooth step just solved keeps rows and is to be kept for derivatives.
+  bool keeps_held_steps() const { return options_.gradient && integrator_.constraints() != nullptr; }
+  void keep_held_step();
   void change_contact(int function, double time, const VecX& v, bool moved, Recording& recording);
 
   // contact_phase.cpp: steps in persistent contact.
@@ -311,6 +316,7 @@ class Simulator {
   MatX rates_;               // chart rates at the stages of the step just solved
   std::vector<ContactStepRecord> kept_steps_;
   std::vector<DenseStepRecord> kept_dense_steps_;
+  std::vector<HeldStepRecord> kept_held_steps_;
   EngineMemory fresh_;                  // as it is before any run
   const Progress* progress_ = nullptr;  // of the present call of advance or run_auto
   std::chrono::steady_clock::time_point last_report_;

@@ -50,6 +50,7 @@ void Simulator::renew() {
   truncation_ = Truncation();
   take_contact_steps();
   take_dense_steps();
+  take_held_steps();
   take_impact_blocks();
 }
 

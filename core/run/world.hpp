@@ -44,6 +44,7 @@ class World {
   const SimulatorOptions& options() const { return options_; }
   // As those of Simulator: complete where all trees are advanced together, as they are with dense polynomials.
   std::vector<ContactStepRecord> take_contact_steps() { return whole_.take_contact_steps(); }
+  std::vector<HeldStepRecord> take_held_steps() { return whole_.take_held_steps(); }
   std::vector<DenseStepRecord> take_dense_steps() { return whole_.take_dense_steps(); }
   std::vector<ImpactBlockRecord> take_impact_blocks() { return whole_.take_impact_blocks(); }
   // Of the engine of all trees, for the mass matrix at any configuration.

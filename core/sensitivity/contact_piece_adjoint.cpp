@@ -13,11 +13,17 @@ void ContactPieceAdjoint::start() {
 }
 
 void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
-  check_contact_piece(*run_, piece);
+  if (piece.held == nullptr) check_contact_piece(*run_, piece);
   step_ = piece.contact;
   dense_step_ = piece.dense;
+  held_piece_ = piece.held != nullptr ? &piece : nullptr;
   inputs_ = &inputs;
   number_ = piece.step;
+  if (held_piece_ != nullptr) {
+    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages);
+    held_->take(*piece.held, inputs.tau(), inputs.servo());
+    return;
+  }
   if (dense_step_ != nullptr) {
     if (!dense_) dense_ = std::make_unique<DenseStepAdjoint>(*scene_, take_branch_);
     dense_->take(*dense_step_, inputs.tau(), inputs.servo());
@@ -29,6 +35,7 @@ void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
 void ContactPieceAdjoint::solve_length(VecRef fq, VecRef fp) {
   ContactStepDirection direction;
   direction.h = 1.0;
+  if (held_piece_ != nullptr) return held_->tangent().solve(direction, fq, fp);
   adjoint_.tangent().solve(direction, fq, fp);
 }
 
@@ -44,7 +51,7 @@ Vec3 ContactPieceAdjoint::take_anchor(const ContactPoint& point) {
 }
 
 void ContactPieceAdjoint::leave_anchors(VecX& lq) {
-  if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
+  if (dense_step_ != nullptr || held_piece_ != nullptr) {  // contacts stick without an anchor after it
     finish();
     return;
   }
@@ -97,6 +104,7 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, double lenergy
     pass_dense(lq, lp, ltime, result);
     return;
   }
+  if (held_piece_ != nullptr) return pass_held(lq, lp, ltime, result);
   const ContactStepRecord& s = *step_;
   const bool ends_itself = s.ending != ContactStepEnd::kLength;
   double lslip = 0.0;
@@ -137,6 +145,19 @@ void ContactPieceAdjoint::pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradi
     if (c.mu > 0.0) result.mu[c.point.guard] += dense_gradient_.mu[static_cast<Eigen::Index>(i)];
     result.e[c.point.guard] += dense_gradient_.e[static_cast<Eigen::Index>(i)];
   }
+}
+
+void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+  result.begin_step();
+  if (!held_->solve(lq, lp, gradient_, result.parameters))
+    throw NoDerivative({"step", -1, held_piece_->t}, "The derivative of a step was not solved",
+                       "adjoint equations with a solution", "none", "Use a smaller dt");
+  lq = gradient_.q;
+  lp = gradient_.p;
+  const double later = held_piece_->end == PieceEnd::kLength ? ltime : -gradient_.h;
+  ltime = gradient_.t + later;
+  inputs_->mask(gradient_.tau);
+  result.end_step(number_, gradient_.tau);
 }
 
 // A slip that comes to rest, or a force that comes to zero: the gradient in that slip.

@@ -6,6 +6,7 @@
 
 #include "sensitivity/contact_step_adjoint.hpp"
 #include "sensitivity/dense_step_adjoint.hpp"
+#include "sensitivity/held_step_adjoint.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/release_force.hpp"
 #include "sensitivity/run_gradient.hpp"
@@ -18,7 +19,7 @@ class ContactPieceAdjoint {
 
   // The end of a run: nothing depends on where contacts stick.
   void start();
-  // Takes a piece with persistent contacts. Throws NoDerivative.
+  // Takes a piece with rows. Throws NoDerivative.
   void take(const Piece& piece, const PieceInputs& inputs);
   // Of the piece that was taken: the derivative of its end by its length, (nv,) each.
   void solve_length(VecRef fq, VecRef fp);
@@ -44,16 +45,19 @@ class ContactPieceAdjoint {
   Vec3 take_anchor(const ContactPoint& point);
   double pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
+  void pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_release(double lforce, VecX& lq, VecX& lp, RunGradient& result);
 
   const Scene* scene_;
   const RecordedRun* run_;
   ContactStepAdjoint adjoint_;
   std::unique_ptr<DenseStepAdjoint> dense_;  // made for the first dense step
+  std::unique_ptr<HeldStepAdjoint> held_;    // and for the first held one
   bool take_branch_;
   ReleaseForce release_;
   const ContactStepRecord* step_ = nullptr;
-  const DenseStepRecord* dense_step_ = nullptr;  // one of both
+  const DenseStepRecord* dense_step_ = nullptr;
+  const Piece* held_piece_ = nullptr;  // one of the three
   const PieceInputs* inputs_ = nullptr;
   long number_ = 0;  // of the control step
   ContactStepGradient gradient_;

@@ -36,10 +36,16 @@ void refuse_sticking_start(const ContactPoint& point, double time) {
 }
 
 void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
-  check_contact_piece(*run_, piece);
+  if (piece.held == nullptr) check_contact_piece(*run_, piece);
   step_ = piece.contact;
   dense_step_ = piece.dense;
+  held_piece_ = piece.held != nullptr ? &piece : nullptr;
   inputs_ = &inputs;
+  if (held_piece_ != nullptr) {
+    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages);
+    held_->take(*piece.held, inputs.tau(), inputs.servo());
+    return;
+  }
   if (dense_step_ != nullptr) {
     if (!dense_) dense_ = std::make_unique<DenseStepTangent>(*scene_, take_branch_);
     dense_->take(*dense_step_, inputs.tau(), inputs.servo());
@@ -53,6 +59,7 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
 void ContactPieces::solve_length(VecRef fq, VecRef fp) {
   direction_ = ContactStepDirection();
   direction_.h = 1.0;
+  if (held_piece_ != nullptr) return held_->solve(direction_, fq, fp);
   tangent_.solve(direction_, fq, fp);
 }
 
@@ -69,6 +76,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     move_dense(d, columns);
     return;
   }
+  if (held_piece_ != nullptr) return move_held(d, columns);
   const bool ends_itself = step_->ending != ContactStepEnd::kLength;
   const auto contacts = static_cast<Eigen::Index>(step_->contacts.size());
   slip_.setZero(d.count);
@@ -126,6 +134,23 @@ void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
   }
 }
 
+// As a smooth step without rows: to the time that it ends at or, where it has a given length, so long after its start.
+void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
+  energies_.setZero(d.count);
+  for (Eigen::Index k = 0; k < d.count; ++k) {
+    ContactStepDirection direction;
+    direction.q = columns.q.col(k);
+    direction.p = columns.p.col(k);
+    direction.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    inputs_->mask(direction.tau);
+    direction.t = columns.time[k];
+    direction.h = held_piece_->end == PieceEnd::kLength ? 0.0 : -columns.time[k];
+    direction.parameters = d.parameter(k);
+    held_->solve(direction, columns.q.col(k), columns.p.col(k));
+    if (held_piece_->end == PieceEnd::kTime) columns.time[k] = 0.0;
+  }
+}
+
 // The changes of the coefficients of friction of the contacts of a step; empty where none changes.
 VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column) const {
   VecX dmu;
@@ -167,7 +192,7 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
 }
 
 void ContactPieces::keep_anchors(const RunColumns& columns) {
-  if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
+  if (dense_step_ != nullptr || held_piece_ != nullptr) {  // contacts stick without an anchor after it
     anchors_.clear();
     return;
   }

@@ -6,6 +6,7 @@
 
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/dense_step_tangent.hpp"
+#include "sensitivity/held_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/release_force.hpp"
 #include "sensitivity/run_directions.hpp"
@@ -33,7 +34,7 @@ class ContactPieces {
 
   // The start of a run along so many directions: nothing sticks.
   void start(Eigen::Index count);
-  // Takes a piece with persistent contacts. Throws NoDerivative.
+  // Takes a piece with rows. Throws NoDerivative.
   void take(const Piece& piece, const PieceInputs& inputs);
   // Of the piece that was taken: the derivative of its end by its length, (nv,) each.
   void solve_length(VecRef fq, VecRef fp);
@@ -59,16 +60,19 @@ class ContactPieces {
   const Anchor* anchor_of(const ContactPoint& point) const;
   void end(const RunDirections& directions, RunColumns& columns);
   void move_dense(const RunDirections& directions, RunColumns& columns);
+  void move_held(const RunDirections& directions, RunColumns& columns);
   VecX friction_change(const RunDirections& directions, Eigen::Index column) const;
 
   const Scene* scene_;
   const RecordedRun* run_;
   ContactStepTangent tangent_;
   std::unique_ptr<DenseStepTangent> dense_;  // made for the first dense step
+  std::unique_ptr<HeldStepTangent> held_;    // and for the first held one
   bool take_branch_;
   ReleaseForce release_;
   const ContactStepRecord* step_ = nullptr;
-  const DenseStepRecord* dense_step_ = nullptr;  // one of both
+  const DenseStepRecord* dense_step_ = nullptr;
+  const Piece* held_piece_ = nullptr;  // one of the three
   const PieceInputs* inputs_ = nullptr;
   ContactStepDirection direction_;
   std::vector<Anchor> anchors_;

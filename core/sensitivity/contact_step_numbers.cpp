@@ -246,6 +246,13 @@ void dense_fields(Archive& a, Step& s) {
   a.whole(s.keeps_energy);
 }
 
+template <class Archive, class Step>
+void held_fields(Archive& a, Step& s) {
+  for (auto* x : {&s.t, &s.h}) a.number(*x);
+  for (auto* x : {&s.q0, &s.p0, &s.v1}) a.sized(*x);
+  for (auto* x : {&s.rates, &s.lambda}) a.sized(*x);
+}
+
 bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
 bool is_body(const Scene& scene, int k) { return k == -1 || within(k, scene.tree.joints.size()); }
 
@@ -380,6 +387,14 @@ class DenseCheck {
   const Scene& scene_;
   const DenseStepRecord& s_;
 };
+
+bool belongs(const Scene& scene, const HeldStepRecord& s) {
+  const Tree& tree = scene.tree;
+  const Eigen::Index stages = s.rates.cols();
+  return s.h > 0.0 && s.q0.size() == tree.nq && s.p0.size() == tree.nv && s.v1.size() == tree.nv &&
+         s.rates.rows() == tree.nv && stages >= 1 && stages <= kMaxStages && s.lambda.cols() == stages + 1 &&
+         s.lambda.rows() == tree.elements.constraint_rows;
+}
 }  // namespace
 
 std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps) {
@@ -427,6 +442,22 @@ std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const double* nu
     dense_fields(reader, steps.emplace_back());
     steps.back().constraints = scene.tree.elements.constraint_rows;
     if (!DenseCheck(scene, steps.back()).fits()) refuse("numbers of another scene");
+  }
+  return steps;
+}
+
+std::vector<double> numbers_of(const std::vector<HeldStepRecord>& steps) {
+  Writer writer;
+  for (const HeldStepRecord& step : steps) held_fields(writer, step);
+  return std::move(writer.numbers);
+}
+
+std::vector<HeldStepRecord> held_steps_of(const Scene& scene, const double* numbers, std::size_t count) {
+  Reader reader(numbers, count);
+  std::vector<HeldStepRecord> steps;
+  while (!reader.done()) {
+    held_fields(reader, steps.emplace_back());
+    if (!belongs(scene, steps.back())) refuse("numbers of another scene");
   }
   return steps;
 }

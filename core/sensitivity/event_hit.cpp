@@ -98,7 +98,7 @@ void check_beginnings(const RecordedRun& run, const Piece& piece, const Piece& n
 }
 
 void check_node(const Piece& piece, const Piece* next) {
-  if (!piece.persistent && (next == nullptr || !next->persistent)) return;
+  if (!piece.has_rows() && (next == nullptr || !next->has_rows())) return;
   throw NoDerivative({"node", -1, piece.t + piece.h}, "An event beside a persistent contact is at the end of a step",
                      "events inside of steps", "one at the end", "Use another dt");
 }

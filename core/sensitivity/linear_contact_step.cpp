@@ -3,7 +3,7 @@
 #include "base/refusal.hpp"
 #include "contact/contact_step.hpp"
 #include "model/coordinates.hpp"
-#include "sensitivity/contact_step_tangent.hpp"
+#include "sensitivity/held_step_tangent.hpp"
 #include "step/public_tangent.hpp"
 
 namespace contactvi {
@@ -44,15 +44,33 @@ ContactStepRecord solve(const Scene& scene, const State& start, double h, const 
   return step.record();
 }
 
+// All columns, by a tangent that has taken the step.
+template <class Tangent>
+LinearStep all_columns(const Tree& tree, Integrator& masses, const StateView& start, const StateView& end,
+                       Tangent& tangent) {
+  const int n = tree.nv;
+  StepTangent momenta(tree, 1);
+  LinearStep result;
+  result.q1 = end.q;
+  result.x1 = end.x;
+  VecX dq(n), dx(n);
+  const auto to_engine = [&](VecX& q, VecX& p) { to_engine_direction(tree, momenta, start, q, p); };
+  fill_columns<ContactStepDirection>(result, n, to_engine, [&](const ContactStepDirection& direction, auto&& column) {
+    tangent.solve(direction, dq, dx);
+    to_public_direction(tree, momenta, masses, end, dq, dx);
+    column.head(n) = dq;
+    column.tail(n) = dx;
+  });
+  return result;
+}
+
 }  // namespace
 
 LinearStep linearize_contact_step(const Scene& scene, const VecX& q0, const VecX& x0, StateKind kind, double h,
                                   const StepInputs& inputs) {
   const Tree& tree = scene.tree;
-  const int n = tree.nv;
   const Servo* servo = inputs.servo.any ? &inputs.servo : nullptr;
   Integrator masses(tree, 1, 1e-12, 1);
-  StepTangent momenta(tree, 1);
   const State start = start_of(scene, masses, q0, x0, kind);
   const ContactStepRecord record = solve(scene, start, h, inputs, servo);
   State end{kind, record.q1, record.v1, record.v1, record.p1};
@@ -60,18 +78,17 @@ LinearStep linearize_contact_step(const Scene& scene, const VecX& q0, const VecX
   engine_to_public(tree, end.q, end.x);
   ContactStepTangent tangent(scene);
   tangent.take(record, inputs.tau, servo);
-  LinearStep result;
-  result.q1 = end.q;
-  result.x1 = end.x;
-  VecX dq(n), dx(n);
-  const auto to_engine = [&](VecX& q, VecX& p) { to_engine_direction(tree, momenta, start.view(), q, p); };
-  fill_columns<ContactStepDirection>(result, n, to_engine, [&](const ContactStepDirection& direction, auto&& column) {
-    tangent.solve(direction, dq, dx);
-    to_public_direction(tree, momenta, masses, end.view(), dq, dx);
-    column.head(n) = dq;
-    column.tail(n) = dx;
-  });
-  return result;
+  return all_columns(tree, masses, start.view(), end.view(), tangent);
+}
+
+LinearStep linearize_held_step(const Scene& scene, const VecX& q0, const VecX& x0, StateKind kind, double h,
+                               const StepInputs& inputs, int stages, double tol) {
+  Integrator integrator(scene.tree, stages, tol, kStepIterations, true);
+  PublicStep step(scene.tree, q0, x0, kind, h, inputs, integrator);
+  const HeldStepRecord record = held_step_record(integrator, step.q0, step.p0);
+  HeldStepTangent tangent(scene, stages);
+  tangent.take(record, inputs.tau, integrator.servo());
+  return all_columns(scene.tree, integrator, step.start(), step.end(), tangent);
 }
 
 }  // namespace contactvi

@@ -8,6 +8,7 @@
 #include "base/refusal.hpp"
 #include "contact/contact_step_record.hpp"
 #include "contact/dense_step_record.hpp"
+#include "contact/held_step_record.hpp"
 #include "impact/impact_block_record.hpp"
 #include "impact/impact_law.hpp"
 #include "model/scene.hpp"
@@ -28,6 +29,10 @@ struct Piece {
   bool persistent;                             // a step with persistent contacts
   const ContactStepRecord* contact = nullptr;  // of such a step,
   const DenseStepRecord* dense = nullptr;      // or of a dense one
+  const HeldStepRecord* held = nullptr;        // of a smooth step that keeps rows
+
+  // Whether other impulses act in it than those at its end.
+  bool has_rows() const { return persistent || held != nullptr; }
 
   bool ends_itself() const { return contact != nullptr && contact->ending != ContactStepEnd::kLength; }
 };

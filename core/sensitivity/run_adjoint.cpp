@@ -135,7 +135,7 @@ void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradien
     lreference_ = 0.0;
   }
   VecX fq(scene_->tree.nv), fp(scene_->tree.nv);
-  if (piece.persistent) {
+  if (piece.has_rows()) {
     contact_.solve_length(fq, fp);
   } else {
     tangent_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
@@ -144,7 +144,7 @@ void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradien
     if (!tangent_.solve(direction, fq, fp)) throw Error("the derivative of a step was not solved");
   }
   double by_time = lq_.dot(fq) + lp_.dot(fp) + ltime_ + time_gradient;
-  if (lenergy_ != 0.0) by_time += lenergy_ * (piece.persistent ? contact_.energy_change() : tangent_.energy_change());
+  if (lenergy_ != 0.0) by_time += lenergy_ * (piece.has_rows() ? contact_.energy_change() : tangent_.energy_change());
   // Where several points are hit they have one time along the directions that there are: any of them tells it.
   const VecX W = impact_.gradient(hit.points.empty() ? 0 : impact_.find(*hit.points[0]));
   const double rate = W.dot(fq);
@@ -226,7 +226,7 @@ RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
       check_node(piece, last ? nullptr : &pieces[i + 1]);
       leave_node(q1, p1, end);
     }
-    if (piece.persistent) {
+    if (piece.has_rows()) {
       contact_.take(piece, inputs_);
       contact_.leave_anchors(lq_);
     }
@@ -237,7 +237,7 @@ RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
     if (i > 0 && pieces[i - 1].end != PieceEnd::kTime) {
       check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     }
-    if (piece.persistent) {
+    if (piece.has_rows()) {
       if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
       contact_.pass(lq_, lp_, ltime_, lenergy_, result);
       lenergy_ = 0.0;

@@ -37,7 +37,7 @@ void RunHessian::check() const {
   const std::vector<Piece>& pieces = run_->pieces;
   for (std::size_t i = 0; i < pieces.size(); ++i) {
     const Piece& piece = pieces[i];
-    if (piece.persistent)
+    if (piece.has_rows())
       refuse(-1, piece.t, "Persistent contacts have no second derivative that is known",
              "steps without persistent contacts", "one with some");
     if (piece.impacts > 0) check_impact(piece);

@@ -12,7 +12,7 @@ RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_bra
     : scene_(&scene),
       run_(&run),
       take_branch_(take_branch),
-      integrator_(scene.tree, run.stages, run.tol, 200),
+      integrator_(scene.tree, run.stages, run.tol, 200, true),
       tangent_(scene.tree, run.stages),
       map_(scene.tree, run.stages, false),
       node_map_(scene.tree),
@@ -61,7 +61,7 @@ void RunTangent::start(const RunDirections& d) {
 // A step with its inputs.
 void RunTangent::take_piece(const Piece& piece) {
   inputs_.set(piece);
-  if (piece.persistent) {
+  if (piece.has_rows()) {
     contact_.take(piece, inputs_);
     return;
   }
@@ -86,7 +86,7 @@ StepTangent& RunTangent::tangent() {
 
 // The derivative of the end of the piece that was taken by its length.
 void RunTangent::solve_length(const Piece& piece) {
-  if (piece.persistent) {
+  if (piece.has_rows()) {
     contact_.solve_length(fq_, fp_);
     return;
   }
@@ -96,23 +96,28 @@ void RunTangent::solve_length(const Piece& piece) {
 }
 
 // The part of a step up to a time inside of it.
-void RunTangent::take_part(const Piece& piece, double length) {
-  if (piece.persistent)
-    throw NoDerivative({"inside", -1, piece.t}, "The state inside of a step with persistent contacts is interpolated",
+void RunTangent::take_part(Piece& part, double length) {
+  if (part.persistent)
+    throw NoDerivative({"inside", -1, part.t}, "The state inside of a step with persistent contacts is interpolated",
                        "times of nodes", "a time between them", "Ask at the nodes of the run");
-  integrator_.set_time(piece.t);
+  integrator_.set_time(part.t);
   integrator_.set_servo(inputs_.servo());
   integrator_.forget();
-  if (!integrator_.solve_closely(piece.q, piece.p, length, inputs_.tau()) &&
-      !integrator_.solve(piece.q, piece.p, length, inputs_.tau()))
+  if (!integrator_.solve_closely(part.q, part.p, length, inputs_.tau()) &&
+      !integrator_.solve(part.q, part.p, length, inputs_.tau()))
     throw Error("a part of a recorded step was not solved");
-  take_step(piece.q, piece.p, length, piece.t, integrator_.velocities());
+  part.h = length;
+  part.end = PieceEnd::kTime;
+  if (part.held == nullptr) return take_step(part.q, part.p, length, part.t, integrator_.velocities());
+  part_record_ = held_step_record(integrator_, part.q, part.p);
+  part.held = &part_record_;
+  contact_.take(part, inputs_);
 }
 
 // Moves the columns to the end of the piece that was taken, at the time that it ends at or, where it has a given
 // length, so long after its start. Fills the derivative by its length.
 void RunTangent::move(const Piece& piece, const RunDirections& d) {
-  if (piece.persistent) {
+  if (piece.has_rows()) {
     if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     contact_.move(d, columns_);
     piece_energy_ = contact_.energies();
@@ -232,7 +237,7 @@ void RunTangent::take_event(const Piece& piece, const RunDirections& d, RunDeriv
   solve_length(piece);
   double energy_rate = 0.0;
   if (run_->map == ImpactMap::kDtec)
-    energy_rate = piece.persistent ? contact_.energy_change() : tangent_.energy_change();
+    energy_rate = piece.has_rows() ? contact_.energy_change() : tangent_.energy_change();
   const Eigen::Index row = static_cast<Eigen::Index>(result.events.size());
   result.event_times.conservativeResize(row + 1, d.count);
   double approach = 1.0;
@@ -329,8 +334,7 @@ RunDerivative RunTangent::solve(const RunDirections& given, const std::vector<do
     while (wanted != times.end() && *wanted < end - same) {
       const RunColumns before = columns_;
       Piece part = piece;
-      part.end = PieceEnd::kTime;
-      take_part(piece, *wanted - piece.t);
+      take_part(part, *wanted - piece.t);
       VecX q1(scene_->tree.nq), p1(scene_->tree.nv);
       integrator_.finish(q1, p1);
       move(part, directions);
@@ -343,7 +347,7 @@ RunDerivative RunTangent::solve(const RunDirections& given, const std::vector<do
     move(piece, directions);
     if (piece.impacts > 0) take_event(piece, directions, result);
     if (piece.dense != nullptr) result.dense.push_back(contact_.dense_report());
-    if (piece.persistent) contact_.keep_anchors(columns_);
+    if (piece.has_rows()) contact_.keep_anchors(columns_);
     const bool last = i + 1 == pieces.size();
     if (piece.end == PieceEnd::kEvent && (last ? is_node(*run_, end) : pieces[i + 1].step > piece.step)) {
       check_node(piece, last ? nullptr : &pieces[i + 1]);

@@ -53,7 +53,7 @@ class RunTangent {
   void take_step(const VecX& q, const VecX& p, double h, double time, const MatX& velocities);
   StepTangent& tangent();
   bool apply_map(const Piece& piece, const RunDirections& directions);
-  void take_part(const Piece& piece, double length);
+  void take_part(Piece& part, double length);
   void move(const Piece& piece, const RunDirections& directions);
   void solve_length(const Piece& piece);
   void take_event(const Piece& piece, const RunDirections& directions, RunDerivative& result);
@@ -73,6 +73,7 @@ class RunTangent {
   StepMap map_;  // of many
   NodeMap node_map_;
   std::optional<StepSolution> step_;  // that was taken
+  HeldStepRecord part_record_;        // of a part of it
   MatX rest_velocities_, q1_, p1_;
   PieceInputs inputs_;
   ImpactTangent impact_;

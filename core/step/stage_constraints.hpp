@@ -76,6 +76,8 @@ class StageConstraints {
   // (slides, s + 1), the direction of its slip as an angle from the first tangent, and the slip along it [m/s].
   auto phase_impulses() const { return lambda_.bottomRows(rows_ - fixed_); }
   const MatX& slip_angles() const { return angles_; }
+  // Those of all rows (rows, s + 1).
+  const MatX& node_impulses() const { return lambda_; }
   const MatX& slips() const { return slips_; }
   // Work of the constant forces [J].
   double load_work() const { return load_work_; }

@@ -129,7 +129,8 @@ void Stages::allocate(int directions) {
                                                      {&stiffness_, n},
                                                      {&deflection_, n},
                                                      {&damping_, n},
-                                                     {&input_, n}};
+                                                     {&input_, n},
+                                                     {&moving_impulse_, directions > 0 ? size : 0}};
   std::size_t total = 0;
   for (const auto& array : arrays) total += (array.second + 7) / 8 * 8;
   memory_ = AlignedArray(parts * total);
@@ -139,6 +140,7 @@ void Stages::allocate(int directions) {
     *array.first = at;
     at += (array.second + 7) / 8 * 8;
   }
+  if (directions == 0) moving_impulse_ = nullptr;
 }
 
 // base = q0 + turns. False, and the base is to be made again: some number is so large that it may be an angle of many
@@ -246,6 +248,10 @@ void Stages::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& t
 void Stages::start_from(const VecCRef& p0) { std::copy_n(p0.data(), tree_->nv, p0_); }
 
 double* Stages::impulse() {
+  if (moving_impulse_ != nullptr) {
+    work_.impulse = moving_impulse_;
+    return moving_impulse_;
+  }
   if (!has_impulse_) impulse_ = AlignedArray(static_cast<std::size_t>(tree_->nv) * work_.S);
   has_impulse_ = true;
   work_.impulse = impulse_.data();

@@ -55,7 +55,7 @@ class Stages {
   // Whether there are forces that evaluate() does not know in the step that began.
   bool has_extra_forces() const { return work_.extra != nullptr; }
   // Impulses that the stages receive besides it, over dofs and stages, in the charts of spherical joints; at first
-  // zero.
+  // zero. With derivatives they have shadows as the other arrays have.
   double* impulse();
   // The steps that begin from now on receive none.
   void clear_impulse() { work_.impulse = nullptr; }
@@ -144,6 +144,7 @@ class Stages {
   LaneWork work_;
   AlignedArray memory_;  // all arrays below
   AlignedArray impulse_{0};
+  double* moving_impulse_;    // with derivatives: in memory_; else null
   bool has_impulse_ = false;  // whether it was allocated
   double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_, *coupled_;
   double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;

@@ -216,6 +216,18 @@ bool StepAdjoint::solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef
   return lq0.allFinite() && lp0.allFinite() && std::isfinite(lh) && ltau.allFinite();
 }
 
+void StepAdjoint::take_multipliers(const MatX& mu, const VecCRef& lq, const VecCRef& lp) {
+  const int S = stages_.padded(), s = stages_.count();
+  source_ = nullptr;
+  set_seed(lq, lp);
+  for (int i = 0; i < S; ++i) {
+    VecX own = mu.col(std::min(i, s - 1));
+    follow_velocity(*tree_, own);
+    for (int d = 0; d < tree_->nv; ++d) mu_[d * S + i] = own[d];
+  }
+  sweep();
+}
+
 void StepAdjoint::finish(VecRef lq0, VecRef lp0, double& lh, VecRef ltau) {
   const int S = stages_.padded(), s = stages_.count();
   const Stages& at_solution = step_.stages();

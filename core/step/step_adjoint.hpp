@@ -34,9 +34,13 @@ class StepAdjoint {
   // False where the equations were not solved.
   bool solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef lp0, double& lh, VecRef ltau,
              const double* source = nullptr);
+  // Takes multipliers of the stage equations, (nv, s), that were found elsewhere, with the gradient in (q1, p1): for
+  // add_parameters().
+  void take_multipliers(const MatX& mu, const VecCRef& lq, const VecCRef& lp);
   // Of the momentum p = M(q) v: the gradients in q and v from that in p, (nv,).
   void momentum(const VecCRef& q, const VecCRef& v, const VecCRef& lp, VecRef lq, VecRef lv);
-  // Adds the gradients in the parameters, after solve(); and those of the momentum p = M(q) v from that in p.
+  // Adds the gradients in the parameters, after solve() or take_multipliers(); and those of the momentum p = M(q) v
+  // from that in p.
   void add_parameters(StepParameters& sums);
   void add_momentum_parameters(const VecCRef& q, const VecCRef& v, const VecCRef& lp, StepParameters& sums);
   // Iterations of the last solve; 0: the matrix was factored.

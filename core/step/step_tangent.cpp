@@ -35,6 +35,7 @@ void StepTangent::take(const VecX& q0, const VecX& p0, double h, const VecX& tau
   has_matrix_ = false;
   step_.take(q0, p0, h, tau, time, servo, velocities);
   step_.copy_to(stages_);
+  stages_.clear_impulse();
   // The input has a derivative also where there is none.
   if (stages_.work_.tau == nullptr) {
     std::fill_n(stages_.input_, tree_->nv, 0.0);
@@ -42,6 +43,13 @@ void StepTangent::take(const VecX& q0, const VecX& p0, double h, const VecX& tau
   }
   stages_.work_.extra = &StepTangent::add_extra;
   stages_.work_.context = this;
+}
+
+void StepTangent::add_impulses(const MatX& impulses) {
+  double* given = stages_.impulse();
+  const int S = stages_.padded(), s = stages_.count();
+  for (int d = 0; d < tree_->nv; ++d)
+    for (int i = 0; i < S; ++i) given[d * S + i] = impulses(d, std::min(i, s - 1));
 }
 
 void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef dp) {
@@ -124,6 +132,11 @@ void StepTangent::set_direction(const StepDirection& direction) {
       shadow(s.hb_)[j] = direction.h * table.b[j];
       for (int i = 0; i < S; ++i) shadow(s.hA_)[j * S + i] = direction.h * table.A[std::min(i, s.count() - 1)][j];
     }
+  }
+  if (direction.impulses.size() > 0) {
+    double* given = shadow(s.impulse());
+    for (int d = 0; d < n; ++d)
+      for (int i = 0; i < S; ++i) given[d * S + i] = direction.impulses(d, std::min(i, s.count() - 1));
   }
   if (direction.tau.size() > 0) {
     dtau_ = direction.tau;

@@ -22,6 +22,7 @@ struct StepDirection {
   VecX q, p;       // of the start, (nv,)
   double h = 0.0;  // of the step's length [s]
   VecX tau;        // of the generalized force, public coordinates (nv,)
+  MatX impulses;   // of those that the stages receive besides, in the charts of spherical joints (nv, s)
   const StepParameters* parameters = nullptr;
 };
 
@@ -32,12 +33,18 @@ class StepTangent {
   // Takes a solved step: its start, length and forces, and the velocities at its stages, (nv, s).
   void take(const VecX& q0, const VecX& p0, double h, const VecX& tau, double time, const Servo* servo,
             const MatX& velocities);
+  // The step that was taken receives these impulses at its stages besides, in the charts of spherical joints (nv, s).
+  void add_impulses(const MatX& impulses);
   // The derivative of (q1, p1) along a direction, (nv,) each. False where the equations were not solved.
   bool solve(const StepDirection& direction, VecRef dq1, VecRef dp1);
   // The solution of the last direction, by which the step has it again after others: the changes of the stages'
   // velocities and of their displacements, (nv, s) each.
   void keep(MatX& dv, MatX& dX) const;
   void resume(const StepDirection& direction, const MatX& dv, const MatX& dX);
+  // After resume(), which takes any changes: what the stage equations are off by, stage by stage, (nv s,); and what the
+  // end changes by.
+  void residual(VecRef r) const;
+  void finish(const StepDirection& direction, VecRef dq1, VecRef dp1);
   // Of the last direction: the change of the velocity at a stage, (nv,).
   void velocity_change(int stage, VecRef dv) const;
   // Of a step with one stage: what the momenta W, (nv, m), at its start change its end (Q, P) and its velocity V by,
@@ -62,10 +69,8 @@ class StepTangent {
  private:
   void set_direction(const StepDirection& direction);
   void evaluate();
-  void residual(VecRef r) const;
   bool iterate();
   bool solve_by_matrix();
-  void finish(const StepDirection& direction, VecRef dq1, VecRef dp1);
   static void add_extra(void* self);
   void add_split_inputs();
   void add_ball_springs();

@@ -201,7 +201,8 @@ def test_every_entry_is_documented(ball, tmp_path):
     stored |= {f"dense/{name}" for name in dense_steps.FIELDS}  # of runs with dense steps
     stored |= {"force/work", "force/reactions"}  # tests/elements/test_elements.py
     stored |= {
-        f"input/{name}" for name in ("saturated", "control", "target", "contact_steps", "impact_blocks", "dense_steps")
+        f"input/{name}"
+        for name in ("saturated", "control", "target", "contact_steps", "impact_blocks", "dense_steps", "held_steps")
     }  # test_stored_inputs.py
     stored |= {"arc/t", "arc/dt"}  # of runs with dt "auto", tests/simulation/test_adaptive.py
     assert described == {name for name in stored if not name.startswith("array/")}
