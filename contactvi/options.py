@@ -108,7 +108,8 @@ class Options:
             default dt at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a
             number is the longest one allowed. Above order 2 smooth steps of length dt hold persistent contacts and
             joint friction, and contact steps are taken only where they cannot, for contact and joint friction with
-            record="gradient", and for joint friction with "dtec" and "mhc". Trajectory.phases tells which step was taken where.
+            record="gradient", and for joint friction with "dtec" and "mhc". Trajectory.phases tells which step was
+            taken where.
         zeno: where impacts accumulate: "hold" makes one of them plastic, which begins a persistent contact, "end" ends
             the run with the status ZENO. Runs with "dtec", which has no answer there, end in both cases.
         support: an impact on a body with persistent contacts: "sequence" of single impacts, each contact with its own
@@ -126,9 +127,9 @@ class Options:
             taken; there and with dt="auto" "steps" is refused.
         record: "states", or "gradient": also what the derivatives of the run need (Trajectory.sensitivity), the
             polynomials of the steps and the inputs. Steps of one length only; those with persistent contacts or joint
-            friction have order 2 then, and with "dtec" and "mhc" those with constraints. What has no derivative is refused before the run where it is
-            known then. Of a Simulator also False: nothing but the present state and its last step,
-            and a number n >= 1: the last n steps; not with a ledger and "dtec".
+            friction have order 2 then, and with "dtec" and "mhc" those with constraints. What has no derivative is
+            refused before the run where it is known then. Of a Simulator also False: nothing but the present state and
+            its last step, and a number n >= 1: the last n steps; not with a ledger and "dtec".
         start: of a start with overlaps: "given" refuses it, "separate" moves it apart as Scene.separate does, with the
             limits that this has by default; Trajectory.separation tells what was moved. Derivatives by q0 are those by
             the start that was found.

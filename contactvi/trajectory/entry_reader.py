@@ -128,8 +128,10 @@ class EntryReader:
         if not all(np.all(np.isfinite(numbers)) for numbers in (steps, blocks, dense, held)):
             self._refuse("contact steps or impacts of several points that are not finite")
         saturated = int(self.entry("input/saturated", (), int))
-        numbers = {"stored_steps": steps, "stored_blocks": blocks, "stored_dense": dense, "stored_held": held}
-        return RunInputs(control, target, saturated, **numbers)
+        return RunInputs(
+            control, target, saturated,
+            stored_steps=steps, stored_blocks=blocks, stored_dense=dense, stored_held=held,
+        )  # fmt: skip
 
     def _per_step(self, name: str, width: int) -> NDArray[np.float64] | None:
         if name not in self._entries:

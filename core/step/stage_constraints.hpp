@@ -7,7 +7,8 @@
 // The first s impulses are found with the stage velocities: each iteration solves the linearised stage equations and
 // conditions, with Newton's matrix of the former (stage_response.hpp; with one stage that of the mass matrix), the
 // gradients as they are and, where contacts slide, the velocity at the end as a function of the unknowns. The last
-// impulse is found after that. On spherical joints all of this stands in the chart, of whose gradients W_k are made (ball_chart.hpp).
+// impulse is found after that. On spherical joints all of this stands in the chart, of whose gradients W_k are made
+// (ball_chart.hpp).
 //
 // Rolling has rows without a phi: W(q_i)^T v_i = 0 at the stages instead, with impulses at the nodes as well, and at
 // the end. The impulses of a sliding contact act along F_k = W_n - mu W_t d_k, d_k the direction of its slip at the
