@@ -96,7 +96,7 @@ def ball_drawn_to_a_sphere() -> Start:
 
 
 def top_on_its_tip() -> Start:
-    """A pyramid that spins on its apex, a point of the body that sticks: leaning by .2 rad and more, but not to its rim."""
+    """A pyramid that spins on its apex, which sticks: it leans by .2 rad and more, but not to its rim."""
     scene = cvi.Scene()
     scene.add_halfspace()
     around = 2.0 * np.pi * np.arange(6) / 6.0
