@@ -10,8 +10,8 @@ What counts:
 
 - known: the two references agree to a tenth of the error, so that true / estimate is known to that.
 - within: the references do not tell the error, but it is below the estimate even with their distance added to it.
-- too small: the estimate is below a third of the true error; where the references agree to a half of it only, of what is
-  left when their distance is taken off.
+- too small: the estimate is below a third of the true error; where the references agree to a half of it only, of what
+  is left when their distance is taken off.
 - open: none of these. The motion multiplies errors, or changes with the smallest of them: it tells nothing.
 
 The histogram is of log10(true / estimate) of the known ones.
