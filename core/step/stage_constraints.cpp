@@ -352,8 +352,8 @@ void StageConstraints::turn(StagePanel& panel, int row, const Mat3& R) const {
 }
 
 // How changes of the stages' rates and velocities, and of the rates at the end (nv, columns), move the rows at all
-// nodes but the first one, with those of velocities at the stages, over the step, and the slips across their directions;
-// (unknowns, columns).
+// nodes but the first one, with those of velocities at the stages, over the step, and the slips across their
+// directions; (unknowns, columns).
 void StageConstraints::move_rows(const StagePanel& rates, const StagePanel& velocities, const MatX& end_rates,
                                  MatX& moved) {
   const int nv = tree_->nv, held = rows_ - fixed_;

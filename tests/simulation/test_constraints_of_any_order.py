@@ -9,6 +9,7 @@ import pytest
 import contactvi as cvi
 from contactvi.verify import systems
 from oracles import four_bar as reference
+from oracles.momentum_maps import spatial_momentum
 
 BARS = systems.FOUR_BAR
 SIZES = {"upper": ((0.1, 0.12, 0.6), 1.0), "lower": ((0.1, 0.08, 0.5), 0.7)}
@@ -176,19 +177,20 @@ def free_ring() -> cvi.Scene:
 @pytest.mark.parametrize(("order", "dt"), [(4, 0.005), (8, 0.01), (16, 0.02)])
 @pytest.mark.parametrize("make", [free_chain, free_ring])
 def test_momentum_of_a_free_linkage(make, order, dt):
-    """Loops in flight without gravity, 2000 steps: linear and angular momentum stay, at any order."""
+    """Loops in flight without gravity, 2000 steps: the momentum about the origin stays, also at order 4."""
     scene = make()
     q = scene.assemble(scene.neutral()) if make is free_ring else scene.configuration({})
     rng = np.random.default_rng(3)
     v = scene.consistent_velocity(q, rng.standard_normal(scene.nv))
+    # The centre of mass at rest: far from the origin the rounding of places would be that of the momentum.
+    drift = pin.jacobianCenterOfMass(scene.model, scene.model.createData(), q) @ v
+    for joint in scene.model.joints:
+        if joint.shortname() == "JointModelFreeFlyer":  # all stand upright
+            v[joint.idx_v : joint.idx_v + 3] -= drift
     traj = cvi.simulate(scene, q, v, duration=2000 * dt, dt=dt, order=order, tol=1e-14, record_every=10, dense=False)
-    data = scene.model.createData()
-    sums = []
-    for row, speed in zip(traj.q, traj.v, strict=True):
-        h = pin.computeCentroidalMomentum(scene.model, data, row, speed)
-        # about the origin of the world, which free bodies leave by metres, or about the centre of mass: that stays, too
-        sums.append(np.concatenate([h.linear, h.angular]))
-    assert np.abs(np.array(sums) - sums[0]).max() < 1e-12
+    sums = np.array([spatial_momentum(scene.model, row, p) for row, p in zip(traj.q, traj.p, strict=True)])
+    # rounding and the tolerance of the steps, of some N m s
+    assert np.abs(sums - sums[0]).max() < 1e-12
 
 
 def energy_over(steps: int) -> np.ndarray:
