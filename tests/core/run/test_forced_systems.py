@@ -122,7 +122,9 @@ def test_a_run_with_constraints_is_no_contact():
     assert cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3).stepping == "order 2, dt = 0.001 s"
     high = cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3, order=4).stepping
     assert high == "order 4, dt = 0.001 s"
-    kept = cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3, order=4, record="gradient").stepping
+    for_derivatives = {"duration": 0.01, "dt": 1e-3, "order": 4, "record": "gradient"}
+    assert cvi.simulate(scene, q0, v0, **for_derivatives).stepping == high
+    kept = cvi.simulate(scene, q0, v0, impact="mhc", **for_derivatives).stepping
     assert kept == "order 4, dt = 0.001 s, constraints met with order 2, dt = 0.001 s"
 
 
