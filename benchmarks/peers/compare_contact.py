@@ -32,6 +32,7 @@ from matplotlib.figure import Figure
 PEERS = ("contactvi", "drake", "mujoco")
 TARGETS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)  # m
 SMALLEST = 1e-14  # m: smaller errors are drawn here
+LARGEST = 1.0  # m: what has left the scene is not drawn
 Settings = list[dict[str, Any]]
 Row = dict[str, Any]
 
@@ -193,22 +194,22 @@ def honesty(rows: list[Row]) -> list[str]:
 def picture(rows: list[Row], path: Path) -> None:
     """One panel for each scene: time over error, a line for each kind of run."""
     cases, names = (list(dict.fromkeys(row[key] for row in rows)) for key in ("case", "kind"))
-    columns = min(3, len(cases))
+    columns = min(4, len(cases))
     height = -(-len(cases) // columns)
-    figure = Figure(figsize=(5.0 * columns, 3.8 * height), layout="constrained")
+    figure = Figure(figsize=(3.8 * columns, 3.4 * height), layout="constrained")
     panels = figure.subplots(height, columns, squeeze=False).ravel()
     colours = {"contactvi": ("#c8371b", "#e07b39", "#8c1c13", "#000000"),
                "drake": ("#4b2e83", "#8a6fc1", "#1f5fa8", "#6fa8dc", "#99aabb"),
                "mujoco": ("#0b6e4f", "#2f9e83", "#7fb069", "#9bc53d", "#bcb88a")}  # fmt: skip
     for panel in panels[len(cases) :]:
-        panel.axis("off")
+        panel.axis("off")  # some panels are left
     for panel, case in zip(panels, cases, strict=False):
         used = dict.fromkeys(colours, 0)
         for name in names:
             peer = peer_of(name)
             colour = colours[peer][used[peer] % len(colours[peer])]
             used[peer] += 1
-            mine = [r for r in rows if (r["case"], r["kind"]) == (case, name) and np.isfinite(r["error"])]
+            mine = [r for r in rows if (r["case"], r["kind"]) == (case, name) and r["error"] < LARGEST]
             x, y = [max(r["error"], SMALLEST) for r in mine], [r["ms_per_s"] for r in mine]
             panel.loglog(x, y, "s-" if "auto" in name else "o-", color=colour, ms=3.5, lw=1.2, label=name)
         panel.set_title(case, fontsize=10)
@@ -217,8 +218,8 @@ def picture(rows: list[Row], path: Path) -> None:
         panel.set_ylabel("ms per simulated s")
     for panel in panels[max(0, len(cases) - columns) : len(cases)]:
         panel.set_xlabel("error [m]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=7)
-    figure.savefig(path, dpi=110)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8)
+    figure.savefig(path, dpi=80)
 
 
 def text_of(rows: list[Row], peers: list[str], missing: list[str]) -> str:

@@ -98,7 +98,8 @@ def prepare(job: dict[str, Any], setting: dict[str, Any]) -> Run:
     every = 0.0 if setting["dt"] == "auto" else job["sample"] / setting["dt"]
     if every > 0.99 and abs(every - round(every)) < 1e-6:
         # A dt written as a decimal would miss the duration by rounding.
-        options.update(dt=job["sample"] / round(every), record_every=round(every), dense=False)
+        # The polynomials of the steps are kept from order 4 on, where they are what a user has without asking.
+        options.update(dt=job["sample"] / round(every), record_every=round(every), dense=setting["order"] > 2)
     else:
         options["sample_dt"] = job["sample"]
 

@@ -3,7 +3,6 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
-#include "model/moving_frame.hpp"
 #include "model/point_jacobian.hpp"
 
 namespace contactvi {
@@ -39,15 +38,14 @@ void point(const Constraint& c, const Vec3& x_a, const Vec3& x_b, Rows& rows) {
   }
 }
 
-void distance(const Constraint& c, double t, const Vec3& x_a, const Vec3& x_b, Rows& rows) {
+void distance(const Constraint& c, const MotionValues::Value& motion, const Vec3& x_a, const Vec3& x_b, Rows& rows) {
   const Vec3 d = x_b - x_a;
   const double length = d.norm();
   const Vec3 u = length > kLeastDivisor ? Vec3(d / length) : Vec3(Vec3::UnitZ());
   double wanted = c.numbers.empty() ? 0.0 : c.numbers[0];
   if (c.signal) {
-    const auto driven = c.signal(t);
-    wanted = driven[0];
-    rows.rate[rows.row] = -driven[1];
+    wanted = motion.signal[0];
+    rows.rate[rows.row] = -motion.signal[1];
   }
   rows.phi[rows.row] = length - wanted;
   add_point_row(rows.tree, rows.at, c.b.body, x_b, u, 1.0, rows.W.col(rows.row));
@@ -111,9 +109,9 @@ void equality(const Constraint& c, const VecCRef& q, Rows& rows) {
   ++rows.row;
 }
 
-void prescribed(const Constraint& c, const VecCRef& q, double t, Rows& rows) {
+void prescribed(const Constraint& c, const MotionValues::Value& motion, const VecCRef& q, Rows& rows) {
   const Joint& b = rows.tree.joints[c.joint_b];
-  const auto driven = c.signal(t);
+  const auto& driven = motion.signal;
   rows.phi[rows.row] = b.type == JointType::kContinuous
                            ? std::remainder(std::atan2(q[b.iq + 1], q[b.iq]) - driven[0], kTwoPi)
                            : q[b.iq] - driven[0];
@@ -122,29 +120,42 @@ void prescribed(const Constraint& c, const VecCRef& q, double t, Rows& rows) {
   ++rows.row;
 }
 
-void evaluate(const std::vector<Constraint>& constraints, const VecCRef& q, double t, Rows& rows) {
+const MotionValues::Value& motion_of(const Constraint& c, double t, MotionValues::Value& value) {
+  if (value.known) return value;
+  if (const MovingFrame* frame = moving_frame(c))
+    value.frame = frame->at(t);
+  else if (c.signal)
+    value.signal = c.signal(t);
+  value.known = true;
+  return value;
+}
+
+void evaluate(const std::vector<Constraint>& constraints, const VecCRef& q, double t, Rows& rows,
+              MotionValues& motions) {
   const Placements& at = rows.at;
   rows.W.setZero();
   rows.rate.setZero();
-  for (const Constraint& c : constraints) {
+  motions.of.resize(constraints.size());
+  for (std::size_t k = 0; k < constraints.size(); ++k) {
+    const Constraint& c = constraints[k];
     rows.row = c.row;
     if (c.kind == ConstraintKind::kEquality) {
       equality(c, q, rows);
       continue;
     }
     if (c.kind == ConstraintKind::kPrescribed) {
-      prescribed(c, q, t, rows);
+      prescribed(c, motion_of(c, t, motions.of[k]), q, rows);
       continue;
     }
     const Vec3 x_a = world_point(at, c.a.body, c.a.p_B), x_b = world_point(at, c.b.body, c.b.p_B);
     if (c.kind == ConstraintKind::kPoint) {
       point(c, x_a, x_b, rows);
     } else if (c.kind == ConstraintKind::kDistance) {
-      distance(c, t, x_a, x_b, rows);
+      distance(c, motion_of(c, t, motions.of[k]), x_a, x_b, rows);
     } else {
       const Mat3 R_a = world_axes(at, c.a.body, c.a.R_B), R_b = world_axes(at, c.b.body, c.b.R_B);
-      if (const MovingFrame* frame = moving_frame(c)) {
-        const FrameMotion motion = frame->at(t);
+      if (moving_frame(c) != nullptr) {
+        const FrameMotion& motion = motion_of(c, t, motions.of[k]).frame;
         weld(c, &motion, motion.R_W, motion.p_W, R_b, x_b, rows);
       } else if (c.kind == ConstraintKind::kWeld) {
         weld(c, nullptr, R_a, x_a, R_b, x_b, rows);
@@ -172,14 +183,21 @@ int constraint_rows(ConstraintKind kind) {
 
 void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
                           Eigen::Ref<MatX> W, VecRef rate) {
+  MotionValues motions;
+  evaluate_constraints(tree, at, q, t, phi, W, rate, motions);
+}
+
+void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
+                          Eigen::Ref<MatX> W, VecRef rate, MotionValues& motions) {
   Rows rows{tree, at, phi, W, rate, 0};
-  evaluate(tree.elements.constraints, q, t, rows);
+  evaluate(tree.elements.constraints, q, t, rows, motions);
 }
 
 void evaluate_given_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
                                 Eigen::Ref<MatX> W, VecRef rate) {
   Rows rows{tree, at, phi, W, rate, 0};
-  evaluate(tree.elements.given_constraints, q, t, rows);
+  MotionValues motions;
+  evaluate(tree.elements.given_constraints, q, t, rows, motions);
 }
 
 }  // namespace contactvi

@@ -9,6 +9,9 @@
 //   kPrescribed  q_b - r(t), for (cos, sin) joints modulo whole turns                      1
 #pragma once
 
+#include <vector>
+
+#include "model/moving_frame.hpp"
 #include "model/placement.hpp"
 
 namespace contactvi {
@@ -16,10 +19,25 @@ namespace contactvi {
 // Number of rows that a constraint of this kind has.
 int constraint_rows(ConstraintKind kind);
 
+// Values of prescribed motions at one time, which are not asked for again: users' functions may cost more than a step.
+struct MotionValues {
+  struct Value {
+    bool known = false;
+    std::array<double, 3> signal{};
+    FrameMotion frame{};
+  };
+  std::vector<Value> of;  // per constraint
+  void forget() {
+    for (Value& value : of) value.known = false;
+  }
+};
+
 // Residuals phi (m,), their gradients as the columns of W (nv, m), engine coordinates, and their rates at fixed q,
-// d phi/dt (m,). at: the placements at q.
+// d phi/dt (m,). at: the placements at q. motions: those of the time t, of which it asks for those not known yet.
 void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
                           Eigen::Ref<MatX> W, VecRef rate);
+void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
+                          Eigen::Ref<MatX> W, VecRef rate, MotionValues& motions);
 // Those of the constraints as they were given, couplings of joints among them.
 void evaluate_given_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
                                 Eigen::Ref<MatX> W, VecRef rate);

@@ -19,6 +19,7 @@ bool Simulator::carries_lists() const {
 void Simulator::hand_over(Handover& to) const {
   to.control = state_.control;
   to.largest_speed = state_.largest_speed;
+  to.contact_steps = state_.contact_steps;
   to.dense = state_.dense;
   to.dense_step.h = dense_step_.memory().h;
   const bool any = carries_lists();
@@ -48,6 +49,7 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   s.control = from.control;
   s.control.halved = 0;
   s.largest_speed = from.largest_speed;
+  s.contact_steps = from.contact_steps;
   s.separated = from.separated;
   s.flights.clear();
   for (const Flights::Entry& entry : from.flights) s.flights.at(entry.first) = entry.second;

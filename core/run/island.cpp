@@ -96,6 +96,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
   take_state(q, p, to);
   to.control = loose[trees_[0]].control;
   to.largest_speed = 0.0;
+  to.contact_steps = ContactStepsUntil();
   to.any = true;
   to.contacts.clear();
   to.touching.clear();
@@ -106,6 +107,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
     LooseState& from = loose[tree];
     combine(from.control, to.control);
     to.largest_speed = std::max(to.largest_speed, from.largest_speed);
+    if (from.contact_steps.time > to.contact_steps.time) to.contact_steps = from.contact_steps;
     take(
         from.contacts, [](const PersistentContact& c) { return c.point.guard; },
         [&](PersistentContact& c, int guard) {
@@ -175,6 +177,7 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose, std::vec
   for (int tree : trees_) {
     loose[tree].control = from.control;
     loose[tree].largest_speed = from.largest_speed;
+    loose[tree].contact_steps = from.contact_steps;
     loose[tree].dense = from.dense;
     loose[tree].change.clear();
     loose[tree].change_h = from.dense_step.h;

@@ -14,6 +14,7 @@ namespace contactvi {
 struct LooseState {
   StepControl control;
   double largest_speed = 0;
+  ContactStepsUntil contact_steps;
   std::vector<PersistentContact> contacts;
   std::vector<int> touching, exempt;
   std::vector<SeparatedPoint> separated;

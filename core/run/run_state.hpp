@@ -78,6 +78,7 @@ struct Handover {
   VecX q, p;
   StepControl control;
   double largest_speed = 0;
+  ContactStepsUntil contact_steps;
   std::vector<PersistentContact> contacts;
   std::vector<int> touching, exempt;  // guards, as the event finder knows them
   std::vector<SeparatedPoint> separated;

@@ -269,10 +269,10 @@ void fields(Archive& a, Snapshot& x) {
 
 template <class Archive>
 void fields(Archive& a, LooseState& x) {
-  auto& [control, largest_speed, contacts, touching, exempt, separated, flights, dense, impulses, closed, change,
-         change_h] = x;
-  values(a, control, largest_speed, contacts, touching, exempt, separated, flights, dense, impulses, closed, change,
-         change_h);
+  auto& [control, largest_speed, contact_steps, contacts, touching, exempt, separated, flights, dense, impulses, closed,
+         change, change_h] = x;
+  values(a, control, largest_speed, contact_steps, contacts, touching, exempt, separated, flights, dense, impulses,
+         closed, change, change_h);
 }
 
 template <class Archive>

@@ -10,20 +10,28 @@ struct Coefficients {
   double a[3], b[3];
 };
 
+constexpr int kTerms = 20;
+
+struct InverseFactorials {
+  double of[2 * kTerms + 2] = {1.0};
+  InverseFactorials() {
+    for (int k = 1; k < 2 * kTerms + 2; ++k) of[k] = of[k - 1] / k;
+  }
+};
+
 Coefficients coefficients(double t) {
-  constexpr int kTerms = 20;
+  static const InverseFactorials inverse_factorial;
   Coefficients c = {};
-  double inverse_factorial[2 * kTerms + 2] = {1.0};
-  for (int k = 1; k < 2 * kTerms + 2; ++k) inverse_factorial[k] = inverse_factorial[k - 1] / k;
-  for (int k = kTerms - 1; k >= 0; --k) {
+  const int terms = t < 1.0 ? kTerms / 2 : kTerms;  // to theta = 1 half of them leave out no more
+  for (int k = terms - 1; k >= 0; --k) {
     const double sign = k % 2 == 0 ? 1.0 : -1.0;
     const auto horner = [t](double* value, double coefficient) {
       value[2] = 2.0 * value[1] + t * value[2];
       value[1] = value[0] + t * value[1];
       value[0] = coefficient + t * value[0];
     };
-    horner(c.a, sign * inverse_factorial[2 * k + 2]);
-    horner(c.b, sign * inverse_factorial[2 * k + 3]);
+    horner(c.a, sign * inverse_factorial.of[2 * k + 2]);
+    horner(c.b, sign * inverse_factorial.of[2 * k + 3]);
   }
   return c;
 }

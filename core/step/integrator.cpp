@@ -47,7 +47,7 @@ void Integrator::hold(PhaseRows* rows) {
 
 void Integrator::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
   StepEquations::begin(q0, p0, h, tau, after);
-  if (keeps_rows_) constraints_->begin(*this, q0_, p0_, time_ + after, h);
+  if (keeps_rows_) constraints_->begin(*this, q0_, p0_, time_ + after, h, tau);
 }
 
 // Of a step that is solved: whether it ends as it should.

@@ -91,12 +91,30 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
     weigh();
     p += forces * weights.head(forces.cols());
     v = X * weights;
+    moved_ = X.leftCols(forces.cols()) * J.topRows(forces.cols());
+    conditions_.resize(p.size(), n);
+    conditions_.leftCols(m) = W;
+    for (Eigen::Index j = 0; j < count; ++j) {
+      const double c = std::cos(angles[j]), s = std::sin(angles[j]);
+      conditions_.col(m + j) = c * T.col(2 * j + 1) - s * T.col(2 * j);
+      if (turned[static_cast<std::size_t>(j)] != 0) conditions_.col(m + j).setZero();
+    }
     const VecX slip = T.transpose() * v;
     for (Eigen::Index j = 0; j < count; ++j)
       slips[j] = std::cos(angles[j]) * slip[2 * j] + std::sin(angles[j]) * slip[2 * j + 1];
     return v.allFinite();
   }
   return false;
+}
+
+void SlipProjection::respond(StepEquations& equations, MatX& X) const {
+  equations.solve_masses(X);
+  const VecX none = VecX::Zero(conditions_.cols());
+  VecX change;
+  for (Eigen::Index k = 0; k < X.cols(); ++k) {
+    system_.solve(conditions_.transpose() * X.col(k), none, change);
+    X.col(k) += moved_ * change;
+  }
 }
 
 }  // namespace contactvi

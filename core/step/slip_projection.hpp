@@ -20,6 +20,9 @@ class SlipProjection {
   bool apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate,
              const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& before, VecRef p, VecX& v,
              VecRef lambda, VecRef angles, VecRef slips);
+  // How the velocity v of the last projection that succeeded changes with the momentum p before it: dv, (nv, columns),
+  // to the first order of changes of p, which X holds and M^-1 is to be multiplied with. The node must be placed again.
+  void respond(StepEquations& equations, MatX& X) const;
   // Of what friction answers to a turn of its direction, as a slip: where the slip is as far beyond its end the
   // direction is no longer found from it. At all of it the equation is singular.
   static constexpr double kTurned = 0.5;
@@ -27,6 +30,8 @@ class SlipProjection {
 
  private:
   RowSystem system_;
+  // Of the last projection, by impulses and angles: the derivatives of v, and the gradients of what is to be zero.
+  MatX moved_, conditions_;
 };
 
 }  // namespace contactvi

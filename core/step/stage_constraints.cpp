@@ -6,6 +6,7 @@
 
 #include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
+#include "model/coupling.hpp"
 #include "step/ball_chart.hpp"
 #include "step/projection.hpp"
 
@@ -40,8 +41,6 @@ StageConstraints::StageConstraints(const Tree& tree, int stages)
       q_stage_(tree.nq),
       X_stage_(tree.nv),
       v_node_(tree.nv),
-      kept_(0),
-      changed_(0),
       v1_(VecX::Zero(tree.nv)),
       q1_(tree.nq),
       p1_(tree.nv) {
@@ -54,6 +53,23 @@ StageConstraints::StageConstraints(const Tree& tree, int stages)
       at_nodes_(j, k) = 0.0;
       for (int n = 0; n < stages; ++n) at_nodes_(j, k) += P[n] * gauss.to_legendre[n][j];
     }
+  }
+  // The path is raised by P_s(x) (a + b x), which takes the velocities at both ends (path.hpp).
+  raised_at_nodes_ = at_nodes_;
+  end_share_.setZero(stages);
+  double start[kMaxStages];
+  for (int j = 0; j < stages; ++j) {
+    start[j] = 0.0;
+    for (int n = 0; n < stages; ++n) start[j] += (n % 2 == 0 ? 1.0 : -1.0) * gauss.to_legendre[n][j];
+  }
+  for (int k = 0; k + 1 < stages; ++k) {
+    double P[kMaxStages + 1];
+    const double x = 2.0 * table_->d[k + 1] - 1.0;
+    legendre(x, stages + 1, P);
+    end_share_[k] = 0.5 * P[stages] * (1.0 + x);
+    const double start_share = 0.5 * (stages % 2 == 0 ? 1.0 : -1.0) * P[stages] * (1.0 - x);
+    for (int j = 0; j < stages; ++j)
+      raised_at_nodes_(j, k) -= end_share_[k] * at_nodes_(j, stages - 1) + start_share * start[j];
   }
   resize();
   forget();
@@ -97,7 +113,7 @@ void StageConstraints::place(Node& node, int number) {
   if (fixed_ > 0) {
     contactvi::place(*tree_, node.q, node.at);
     evaluate_constraints(*tree_, node.at, node.q, node.t, node.phi.head(fixed_), node.W.leftCols(fixed_),
-                         node.rate.head(fixed_));
+                         node.rate.head(fixed_), node.motions);
   }
   if (phase_ != nullptr)
     phase_->place(number, node.q, node.phi.tail(rows_ - fixed_), node.W.rightCols(rows_ - fixed_), node.T);
@@ -134,7 +150,9 @@ void StageConstraints::to_chart(const Node& node, const MatX& from, MatX& to) co
   }
 }
 
-void StageConstraints::begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h) {
+void StageConstraints::begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h,
+                             const VecX& tau) {
+  tau_ = &tau;
   const bool same = q0_.size() == q0.size() && nodes_[0].q == q0 && nodes_[0].t == t0;
   const bool same_speed = same && p0_.size() == p0.size() && p0_ == p0;
   p0_ = p0;
@@ -142,6 +160,7 @@ void StageConstraints::begin(StepEquations& equations, const VecCRef& q0, const 
   knows_end_ = false;
   if (forces_.size() != rows_) forces_.setZero(rows_);
   for (int k = 0; k <= stages_; ++k) {
+    if (k > 0 || !same) nodes_[k].motions.forget();
     nodes_[k].t = t0 + table_->d[k] * h;
     lambda_.col(k) = h * table_->e[k] * forces_;
   }
@@ -186,7 +205,6 @@ void StageConstraints::place_nodes(Stages& stages) {
   if (slides_ > 0) {
     for (int i = 0; i < stages_; ++i)
       for (int d = 0; d < nv; ++d) stage_rates_(d, i) = stages.rate()[static_cast<std::size_t>(d) * S + i];
-    changed_turns_ = find_slips() || changed_turns_;
   }
   add_impulses();
   double* given = stages.impulse();
@@ -218,12 +236,20 @@ void StageConstraints::place_rates(const Stages& stages) {
   }
 }
 
-// The slips at the nodes inside of the step, of the path raised by the velocities at its ends. Whether one of them is
-// found to have turned back that had not before, or the other way round.
-bool StageConstraints::find_slips() {
+// The velocity at the end as the stages stand, and by it the slips at the nodes inside of the step, of the path that it
+// raises. Notes where one of them is found to have turned back that had not before, or the other way round.
+void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
+  if (slides_ == 0 || stages_ == 1) return;
+  p1_ = p_start_;
+  for (int d = 0; d < tree_->nv; ++d) p1_[d] += stages.sum(stages.G(), d);
+  for (const Joint& joint : tree_->joints)
+    if (joint.type == JointType::kSpherical) p1_.segment<3>(joint.iv) = stages.ball_end(joint, p_start_);
+  fold_momentum(*tree_, p1_);
+  if (load_ != nullptr) p1_ += h_ * table_->e[stages_] * *load_;
+  equations.place_node(nodes_[stages_].q);
+  knows_end_ = close_slides(equations, p1_);
   path_.set(q0_, h_, stage_rates_);
   if (knows_end_) path_.raise(v0_, v1_);
-  bool any = false;
   for (int k = 1; k < stages_; ++k) {
     path_.velocity(table_->d[k], v_node_);
     slips_.col(k) = nodes_[k].along.transpose() * v_node_;
@@ -234,10 +260,9 @@ bool StageConstraints::find_slips() {
       const bool back = slips_(j, k) < SlipProjection::kTurned * answers_(j, k);
       if (back == (seen % 2 == 1) || seen >= kMostTurns) continue;
       ++seen;
-      any = true;
+      changed_turns_ = true;
     }
   }
-  return any;
 }
 
 // Sets impulse_ to what acts at a node.
@@ -275,99 +300,150 @@ void StageConstraints::set_charts(const Stages& stages) {
   charts_.clear();
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
-    for (int i = 0; i < S; ++i) {
+    for (int i = 0; i < stages_; ++i) {
       const double* X = stages.X() + static_cast<std::size_t>(joint.iv) * S + i;
       charts_.push_back(so3_right_jacobian_inverse(Vec3(X[0], X[S], X[2 * S])));
     }
   }
 }
 
-// On spherical joints, x (nv, S): from the chart's momentum at the stages to the momentum, or from velocities to those
-// in the chart (transposed).
-void StageConstraints::to_stages(bool transposed, int S, double* x) const {
+// Calls visit(first row of x, J_r^-1) for each spherical joint at each stage.
+template <class Visit>
+void StageConstraints::each_chart(Visit visit) const {
   std::size_t chart = 0;
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
-    for (int i = 0; i < S; ++i) {
-      const Mat3& J = charts_[chart++];
-      double* at = x + static_cast<std::size_t>(joint.iv) * S + i;
-      const Vec3 y(at[0], at[S], at[2 * S]), z = transposed ? Vec3(J * y) : Vec3(J.transpose() * y);
-      for (int a = 0; a < 3; ++a) at[a * S] = z[a];
-    }
+    for (int i = 0; i < stages_; ++i) visit(joint.iv * stages_ + i, charts_[chart++]);
   }
 }
 
-// Of velocities x (nv, S) at the stages, which are changed: how they move the rows at all nodes but the first one, with
-// those of velocities at the stages, over the step, and the directions of slips; (unknowns,).
-void StageConstraints::move_rows(double* x, int S, VecRef moved) {
-  const Eigen::Map<const MatX> rates(x, S, tree_->nv);
-  const int held = rows_ - fixed_;
-  if (rolling_ > 0)
-    for (int i = 0; i < stages_; ++i)
-      for (int r = 0; r < held; ++r)
-        if (phase_->by_rate(r))
-          moved[unknown_at(i, fixed_ + r)] = h_ * rates.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
-  to_stages(true, S, x);
-  displaced_.noalias() = rates.topRows(stages_).transpose() * to_nodes_;
-  for (int k = 1; k <= stages_; ++k) {
-    if (rolling_ == 0) {
-      moved.segment((k - 1) * rows_, rows_).noalias() = h_ * (nodes_[k].chart_W.transpose() * displaced_.col(k - 1));
-      continue;
-    }
-    for (int r = 0; r < rows_; ++r)
-      if (r < fixed_ || !phase_->by_rate(r - fixed_))
-        moved[unknown_at(k - 1, r)] = h_ * nodes_[k].chart_W.col(r).dot(displaced_.col(k - 1));
+// From a panel of momenta of the stages in their charts to what these change of rates and velocities.
+void StageConstraints::respond(const StagePanel& given, Stages& stages, StiffTerms& stiff, StagePanel& rates,
+                               StagePanel& velocities) {
+  if (coupled_) {
+    response_->solve(given, rates);
+    response_->velocities(rates, velocities);
+    return;
   }
-  if (slides_ == 0 || stages_ == 1) return;
-  displaced_.noalias() = rates.topRows(stages_).transpose() * at_nodes_;
-  for (int k = 1; k < stages_; ++k)
-    moved.segment(direction_at(k, 0), slides_).noalias() =
-        h_ * (nodes_[k].chart_across.transpose() * displaced_.col(k - 1));
-}
-
-void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
-  const int S = stages.padded(), nv = tree_->nv, count = unknowns();
-  const std::size_t size = static_cast<std::size_t>(nv) * S;
-  if (static_cast<int>(given_.size()) != count) {
-    given_.clear();
-    moved_.clear();
-    for (int k = 0; k < count; ++k) {
-      given_.emplace_back(size);
-      moved_.emplace_back(size);
-    }
-    kept_ = AlignedArray(size);
-    changed_ = AlignedArray(size);
-  }
-  std::copy_n(stages.dv(), size, kept_.data());
-  matrix_.resize(count, count);
-  for (int column = 0; column < count; ++column) {
-    double* given = given_[column].data();
-    const int k = node_of(column);
-    if (column < rows_ * stages_) {
-      for (int d = 0; d < nv; ++d)
-        std::fill_n(given + static_cast<std::size_t>(d) * S, S, nodes_[k].chart_F(d, column % rows_));
-    } else {
-      const int j = (column - rows_ * stages_) % slides_;
-      const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
-      const double friction = mu * lambda_(fixed_ + normal, k);
-      for (int d = 0; d < nv; ++d)
-        std::fill_n(given + static_cast<std::size_t>(d) * S, S, -friction * nodes_[k].chart_across(d, j));
-    }
-    to_stages(false, S, given);
-    std::copy_n(given, size, stages.dv());
+  const int S = stages.padded(), nv = tree_->nv;
+  velocities = given;
+  each_chart([&](int row, const Mat3& J) { turn(velocities, row, J.transpose()); });
+  for (Eigen::Index c = 0; c < given.cols(); ++c) {
+    for (int d = 0; d < nv; ++d)
+      for (int i = 0; i < S; ++i)
+        stages.dv()[static_cast<std::size_t>(d) * S + i] = velocities(d * stages_ + std::min(i, stages_ - 1), c);
     stages.solve();
     if (stiff.any()) stiff.correct_solution(stages, false);
-    std::copy_n(stages.dv(), size, moved_[column].data());
-  }
-  for (int column = 0; column < count; ++column) {
-    const int l = node_of(column);
     for (int d = 0; d < nv; ++d)
-      for (int j = 0; j < S; ++j)
-        changed_.data()[static_cast<std::size_t>(d) * S + j] =
-            moved_[column].data()[static_cast<std::size_t>(d) * S + j] * table_->share[std::min(j, stages_ - 1)][l];
-    move_rows(changed_.data(), S, matrix_.col(column));
+      for (int i = 0; i < stages_; ++i)
+        velocities(d * stages_ + i, c) = stages.dv()[static_cast<std::size_t>(d) * S + i];
   }
-  std::copy_n(kept_.data(), size, stages.dv());
+  rates = velocities;
+  each_chart([&](int row, const Mat3& J) { turn(rates, row, J); });
+}
+
+// The rows of a spherical joint at one stage of a panel, the first of which is given, by R.
+void StageConstraints::turn(StagePanel& panel, int row, const Mat3& R) const {
+  const int s = stages_;
+  for (Eigen::Index c = 0; c < panel.cols(); ++c) {
+    const Vec3 x = R * Vec3(panel(row, c), panel(row + s, c), panel(row + 2 * s, c));
+    for (int a = 0; a < 3; ++a) panel(row + a * s, c) = x[a];
+  }
+}
+
+// How changes of the stages' rates and velocities, and of the rates at the end (nv, columns), move the rows at all
+// nodes but the first one, with those of velocities at the stages, over the step, and the slips across their
+// directions; (unknowns, columns).
+void StageConstraints::move_rows(const StagePanel& rates, const StagePanel& velocities, const MatX& end_rates,
+                                 MatX& moved) {
+  const int nv = tree_->nv, held = rows_ - fixed_;
+  moved.resize(unknowns(), rates.cols());
+  displaced_.resize(nv, rates.cols());
+  const auto sum = [&](const auto& weights) {
+    for (int d = 0; d < nv; ++d)
+      displaced_.row(d).noalias() = h_ * (weights.transpose() * rates.middleRows(d * stages_, stages_));
+  };
+  for (int k = 1; k <= stages_; ++k) {
+    sum(to_nodes_.col(k - 1));
+    moved.middleRows((k - 1) * rows_, rows_).noalias() = nodes_[k].chart_W.transpose() * displaced_;
+  }
+  for (int i = 0; i < stages_ && rolling_ > 0; ++i)
+    for (int r = 0; r < held; ++r) {
+      if (!phase_->by_rate(r)) continue;
+      auto rate = moved.row(unknown_at(i, fixed_ + r));
+      rate.setZero();
+      for (int d = 0; d < nv; ++d)
+        rate += (h_ * rolls_[static_cast<std::size_t>(i)](d, r)) * velocities.row(d * stages_ + i);
+    }
+  if (slides_ == 0 || stages_ == 1) return;
+  for (int k = 1; k < stages_; ++k) {
+    sum((knows_end_ ? raised_at_nodes_ : at_nodes_).col(k - 1));
+    if (knows_end_) displaced_ += (h_ * end_share_[k - 1]) * end_rates;
+    moved.middleRows(direction_at(k, 0), slides_).noalias() = nodes_[k].chart_across.transpose() * displaced_;
+  }
+}
+
+// The force of a unit of an unknown at its node, and the same in the chart.
+void StageConstraints::force_of(int unknown, VecRef force, VecRef chart) const {
+  const Node& node = nodes_[node_of(unknown)];
+  if (unknown < rows_ * stages_) {
+    force = node.F.col(unknown % rows_);
+    chart = node.chart_F.col(unknown % rows_);
+    return;
+  }
+  const int j = (unknown - rows_ * stages_) % slides_;
+  const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+  const double friction = mu * lambda_(fixed_ + normal, node_of(unknown));
+  force = -friction * node.across.col(j);
+  chart = -friction * node.chart_across.col(j);
+}
+
+// Changes of the rates at the end by those of the stages and of the start momentum (in its axes), (nv, columns).
+void StageConstraints::end_rates(StepEquations& equations, const StagePanel& rates, StagePanel& momenta, MatX& found) {
+  found.resize(tree_->nv, rates.cols());
+  if (slides_ == 0 || stages_ == 1 || !knows_end_) return;
+  const Node& end = nodes_[stages_];
+  if (coupled_) response_->end_momenta(rates, momenta);
+  found = momenta;
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical || coupled_) continue;
+    found.middleRows<3>(joint.iv) =
+        so3_exp(Vec3(-end.X.segment<3>(joint.iv))).toRotationMatrix() * found.middleRows<3>(joint.iv);
+  }
+  slip_projection_.respond(equations, found);
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    found.middleRows<3>(joint.iv) =
+        so3_right_jacobian_inverse(Vec3(end.X.segment<3>(joint.iv))) * found.middleRows<3>(joint.iv);
+  }
+}
+
+void StageConstraints::make_matrix(StepEquations& equations, Stages& stages, StiffTerms& stiff) {
+  const int nv = tree_->nv, count = unknowns();
+  const Node& end = nodes_[stages_];
+  given_.resize(nv * stages_, count);
+  StagePanel momenta(nv, count);
+  VecX force(nv), chart(nv);
+  for (int column = 0; column < count; ++column) {
+    const int k = node_of(column);
+    force_of(column, force, chart);
+    for (int d = 0; d < nv; ++d)
+      for (int i = 0; i < stages_; ++i) given_(d * stages_ + i, column) = table_->share[i][k] * chart[d];
+    for (const Joint& joint : tree_->joints) {
+      if (joint.type != JointType::kSpherical) continue;
+      // The start momentum has all of it in its axes, what of that a stage does not have is taken off in the chart.
+      const Vec3 own = force.segment<3>(joint.iv), start = so3_exp(nodes_[k].X.segment<3>(joint.iv)) * own;
+      const Vec3 less = so3_right_jacobian(Vec3(end.X.segment<3>(joint.iv))) * start - chart.segment<3>(joint.iv);
+      force.segment<3>(joint.iv) = start;
+      for (int a = 0; a < 3; ++a)
+        for (int i = 0; i < stages_; ++i) given_((joint.iv + a) * stages_ + i, column) += less[a];
+    }
+    momenta.col(column) = force;
+  }
+  MatX ends;
+  respond(given_, stages, stiff, rates_, velocities_);
+  end_rates(equations, rates_, momenta, ends);
+  move_rows(rates_, velocities_, ends, matrix_);
   for (int k = 1; k < stages_; ++k)
     for (int j = 0; j < slides_; ++j) {
       const int at = direction_at(k, j);
@@ -380,19 +456,18 @@ void StageConstraints::make_matrix(Stages& stages, StiffTerms& stiff) {
         matrix_(at, at) -= h_ * slips_(j, k);
       }
     }
-  scale_matrix(S);
+  scale_matrix();
   system_.set(matrix_, row_scale_, scale_);
 }
 
 // Rows and columns of the impulses of one row have the same scale: that of its own mobility. Directions have the scale
 // of what they do.
-void StageConstraints::scale_matrix(int S) {
+void StageConstraints::scale_matrix() {
   const int count = unknowns();
   VecX own(rows_);
   for (int c = 0; c < rows_; ++c) {
-    own[c] = 0.0;
-    for (int d = 0; d < tree_->nv; ++d)
-      own[c] += given_[c].data()[static_cast<std::size_t>(d) * S] * moved_[c].data()[static_cast<std::size_t>(d) * S];
+    own[c] = 0.0;  // all stages have all of the impulse at the first node
+    for (int d = 0; d < tree_->nv; ++d) own[c] += given_(d * stages_, c) * rates_(d * stages_, c);
   }
   const double zero = kZeroRow * (rows_ > 0 ? own.maxCoeff() : 0.0);
   // Least impulses of contacts that share a load are least in N s.
@@ -455,39 +530,73 @@ void StageConstraints::add_to_residual(const Stages& stages) {
     }
 }
 
+// Newton's matrix, as the stages stand.
+bool StageConstraints::couple(StepEquations& equations, const Stages& stages) {
+  const int S = stages.padded(), nv = tree_->nv;
+  if (!response_) response_ = std::make_unique<StageResponse>(*tree_, stages_);
+  MatX v(nv, stages_);  // before the correction of the last iteration
+  for (int d = 0; d < nv; ++d)
+    for (int i = 0; i < stages_; ++i) {
+      const std::size_t at = static_cast<std::size_t>(d) * S + i;
+      v(d, i) = stages.v()[at] - stages.dv()[at];
+    }
+  return response_->take({q0_, p_start_, h_, *tau_, nodes_[0].t, equations.servo(), v});
+}
+
 void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTerms& stiff, bool factor) {
   const int S = stages.padded(), nv = tree_->nv, count = unknowns();
   if (count == 0) return;  // there are constant forces alone
-  const std::size_t size = static_cast<std::size_t>(nv) * S;
   set_charts(stages);
-  if (factor || changed_turns_ || static_cast<int>(given_.size()) != count) make_matrix(stages, stiff);
+  const bool known = knows_end_;
+  find_slips(equations, stages);
+  StagePanel left(nv * stages_, 1), kernel(nv * stages_, 1), base, base_velocities, none = StagePanel::Zero(nv, 1);
+  bool again = factor || given_.cols() != count;
+  for (int d = 0; d < nv; ++d)
+    for (int i = 0; i < stages_; ++i) {
+      const std::size_t at = static_cast<std::size_t>(d) * S + i;
+      left(d * stages_ + i, 0) = stages.residual()[at];
+      kernel(d * stages_ + i, 0) = stages.dv()[at];
+    }
+  const VecX found = kernel.col(0);
+  base_velocities = kernel;
+  each_chart([&](int row, const Mat3& J) {
+    turn(left, row, J.inverse().transpose());
+    turn(kernel, row, J);
+  });
+  again = again || changed_turns_ || known != knows_end_;
+  if (again) coupled_ = stages_ > 1 && couple(equations, stages);
+  if (coupled_)
+    respond(left, stages, stiff, base, base_velocities);
+  else
+    base = kernel;
+  if (again) make_matrix(equations, stages, stiff);
   changed_turns_ = false;
-  std::copy_n(stages.dv(), size, changed_.data());
-  residual_.resize(count);
-  move_rows(changed_.data(), S, residual_);
+  MatX moved, ends;
+  end_rates(equations, base, none, ends);
+  move_rows(base, base_velocities, ends, moved);
+  residual_ = moved.col(0);
   add_to_residual(stages);
   now_.setZero(count);  // where rows share a load the impulses are the least ones
   for (int k = 0; k < stages_; ++k) now_.segment(k * rows_, rows_) = lambda_.col(k);
   residual_ /= h_;
   system_.solve(residual_, now_, change_);
-  // With the impulses' change k of the momenta the correction is D^-1 (r + k), its energy r.dv + 2 k.dv + k.D^-1 k.
-  double errors[kMaxStages];
-  for (int i = 0; i < stages_; ++i) errors[i] = stages.error(i);
+  // With the impulses' change k of the momenta the correction is x = D^-1 (r + k), its energy x.(r + k).
+  const VecX push = left + given_ * change_, du = base + rates_ * change_, dv = base_velocities + velocities_ * change_;
+  for (int i = 0; i < stages_; ++i) {
+    double error = stages.error(i);
+    for (int d = 0; d < nv; ++d) {
+      const int at = d * stages_ + i;
+      error += push[at] * du[at] - left(at, 0) * kernel(at, 0);
+    }
+    stages.set_error(i, error);
+  }
   for (int d = 0; d < nv; ++d)
     for (int i = 0; i < S; ++i) {
-      const int stage = std::min(i, stages_ - 1);
       const std::size_t at = static_cast<std::size_t>(d) * S + i;
-      double push = 0.0, moved = 0.0;
-      for (int column = 0; column < count; ++column) {
-        const double weight = table_->share[stage][node_of(column)] * change_[column];
-        push += weight * given_[column].data()[at];
-        moved += weight * moved_[column].data()[at];
-      }
-      if (i < stages_) errors[i] += push * (2.0 * stages.dv()[at] + moved);
-      stages.dv()[at] += moved;
-      stages.v()[at] += moved;
+      const int row = d * stages_ + std::min(i, stages_ - 1);
+      stages.v()[at] += dv[row] - found[row];
+      stages.dv()[at] = dv[row];
     }
-  for (int i = 0; i < stages_; ++i) stages.set_error(i, errors[i]);
   for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
   for (int k = 1; k < stages_ && slides_ > 0; ++k) {
     for (int j = 0; j < slides_; ++j)
@@ -495,11 +604,6 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
     direct(nodes_[k], k);
   }
   add_impulses();
-  if (slides_ == 0 || stages_ == 1) return;
-  equations.finish(q1_, p1_);
-  if (load_ != nullptr) p1_ += h_ * table_->e[stages_] * *load_;
-  equations.place_node(nodes_[stages_].q);
-  knows_end_ = close_slides(equations, p1_);
 }
 
 // The impulse at the end where contacts slide, in momentum and velocity there.

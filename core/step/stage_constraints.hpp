@@ -4,9 +4,11 @@
 // With X_k the displacement at node k, W_k the gradients there and Lambda_k the impulses along them,
 //   P_i = p0 + h sum_j a_ij G_j + sum_k share_ik W_k Lambda_k,       phi(q0 (+) X_k, t0 + d_k h) = 0,  k = 1 .. s,
 //   p1  = p0 + h sum_j b_j G_j + sum_k W_k Lambda_k,                 W_s^T M^-1 p1 + d phi/dt = 0.
-// The first s impulses are found with the stage velocities: after each iteration on these, which leaves D dv = r, the
-// impulses change by what the linearised conditions ask for, and the velocities with them. The last one is found after
-// that. On spherical joints all of this stands in the chart, of whose gradients W_k are made (ball_chart.hpp).
+// The first s impulses are found with the stage velocities: each iteration solves the linearised stage equations and
+// conditions, with Newton's matrix of the former (stage_response.hpp; with one stage that of the mass matrix), the
+// gradients as they are and, where contacts slide, the velocity at the end as a function of the unknowns. The last
+// impulse is found after that. On spherical joints all of this stands in the chart, of whose gradients W_k are made
+// (ball_chart.hpp).
 //
 // Rolling has rows without a phi: W(q_i)^T v_i = 0 at the stages instead, with impulses at the nodes as well, and at
 // the end. The impulses of a sliding contact act along F_k = W_n - mu W_t d_k, d_k the direction of its slip at the
@@ -19,15 +21,18 @@
 // SIAM J. Numer. Anal. 45 (2007); "Lagrange-d'Alembert SPARK integrators for nonholonomic Lagrangian systems" (2009).
 #pragma once
 
+#include <memory>
 #include <vector>
 
 #include "base/lobatto.hpp"
 #include "base/reduction.hpp"
+#include "model/constraints.hpp"
 #include "model/placement.hpp"
 #include "step/path.hpp"
 #include "step/phase_rows.hpp"
 #include "step/row_system.hpp"
 #include "step/slip_projection.hpp"
+#include "step/stage_response.hpp"
 #include "step/stages.hpp"
 #include "step/step_equations.hpp"
 #include "step/stiff_terms.hpp"
@@ -44,7 +49,7 @@ class StageConstraints {
   bool any() const { return rows_ > 0 || load_ != nullptr; }
 
   // The step of length h from (q0, p0), which begins at t0 [s]; equations: whose node is placed where it is needed.
-  void begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h);
+  void begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h, const VecX& tau);
   // Before an iteration on the stages: the nodes to which their velocities lead, and what impulses there give them.
   void place_nodes(Stages& stages);
   // After it: changes the impulses, and with them the correction dv, the velocities and the errors of the stages.
@@ -102,6 +107,7 @@ class StageConstraints {
     MatX chart_W, chart_F, chart_across;  // by the chart at the start of the step
     VecX slip_across;                     // velocities
     Placements at;
+    MotionValues motions;  // at t
     explicit Node(const Tree& tree);
   };
   // An unknown of the stage equations: the impulse of a row at a node, or the direction of a slip there.
@@ -114,15 +120,21 @@ class StageConstraints {
   void direct(Node& node, int number);
   void to_chart(const Node& node, const MatX& from, MatX& to) const;
   void place_rates(const Stages& stages);
-  bool find_slips();
+  void find_slips(StepEquations& equations, Stages& stages);
   bool turned(int node, int slide) const { return turns_[static_cast<std::size_t>(node * slides_ + slide)] % 2 == 1; }
   void add_impulses();
   void impulse_at(int node, bool chart);
-  void make_matrix(Stages& stages, StiffTerms& stiff);
-  void scale_matrix(int S);
   void set_charts(const Stages& stages);
-  void to_stages(bool transposed, int S, double* x) const;
-  void move_rows(double* x, int S, VecRef moved);
+  template <class Visit>
+  void each_chart(Visit visit) const;
+  void turn(StagePanel& panel, int row, const Mat3& R) const;
+  bool couple(StepEquations& equations, const Stages& stages);
+  void respond(const StagePanel& given, Stages& stages, StiffTerms& stiff, StagePanel& rates, StagePanel& velocities);
+  void end_rates(StepEquations& equations, const StagePanel& rates, StagePanel& momenta, MatX& found);
+  void move_rows(const StagePanel& rates, const StagePanel& velocities, const MatX& end_rates, MatX& moved);
+  void force_of(int unknown, VecRef force, VecRef chart) const;
+  void make_matrix(StepEquations& equations, Stages& stages, StiffTerms& stiff);
+  void scale_matrix();
   void add_to_residual(const Stages& stages);
   bool close_slides(StepEquations& equations, VecRef p1);
   bool keeps_phase() const;
@@ -144,17 +156,21 @@ class StageConstraints {
   std::vector<int> turns_;
   MatX to_nodes_;            // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
   MatX at_nodes_;            // (s, s): rates at the stages -> those of their polynomial at the nodes after the first
-  MatX displaced_;           // (nv, s)
+  MatX raised_at_nodes_;     // as this, of the path raised by the velocities at both ends, which themselves stay
+  VecX end_share_;           // (s,): what a unit of the rate at the end adds to that at the nodes after the first
+  StagePanel displaced_;     // of one node, (nv, columns)
   std::vector<MatX> rolls_;  // per stage: W of all rows of the phase there, (nv, count)
   StepPath path_;
   MatX stage_rates_;
   VecX v0_, q_stage_, X_stage_, phi_, v_node_;
   bool changed_turns_ = false;  // since the matrix was made
   bool knows_end_ = false;      // whether v1_ is near the velocity at the end of this step
-  // Per unknown, all stages: what a unit of it gives their momenta, and with D^-1 their velocities.
-  std::vector<AlignedArray> given_, moved_;
-  AlignedArray kept_, changed_;
+  // Of a unit of each unknown: the momenta that the stages get, and what these change of their rates and velocities.
+  StagePanel given_, rates_, velocities_;
   std::vector<Mat3> charts_;  // inverse right Jacobians, of each spherical joint at each stage
+  const VecX* tau_ = nullptr;
+  std::unique_ptr<StageResponse> response_;  // with several stages
+  bool coupled_ = false;                     // whether it could be factored
   VecX row_scale_, scale_, residual_, now_, change_;
   MatX matrix_;
   RowSystem system_;

@@ -148,18 +148,24 @@ def box_slides(slope: float, friction: float, speed: float, duration: float) -> 
     return Held(scene, pose(start, turned(slope)), v, duration, exact, observe)
 
 
+def _turning_plane(joint: pin.JointModel, rate: float) -> cvi.Scene:
+    """Return a scene with the halfspace z <= 0 of a joint that is driven at this rate [rad/s] from zero."""
+    model = systems.empty_model(systems.GRAVITY)
+    moved = model.addJoint(0, joint, place(), "plane")
+    model.appendBodyToJoint(moved, pin.Inertia.FromSphere(1.0, 0.3), place())
+    geometry = pin.GeometryModel()
+    geometry.addGeometryObject(pin.GeometryObject("top", moved, place(), halfspace(0.0, 0.0, 1.0, 0.0)))
+    scene = cvi.Scene.from_pinocchio(model, geometry)
+    scene.prescribe("plane", lambda t: (rate * t, rate, 0.0))
+    return scene
+
+
 def turntable() -> Held:
     """A ball that rolls on a table driven round: a contact of two moving bodies."""
-    model = systems.empty_model(systems.GRAVITY)
-    joint = model.addJoint(0, pin.JointModelRZ(), place(), "table")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.3), place())
-    geometry = pin.GeometryModel()
-    geometry.addGeometryObject(pin.GeometryObject("top", joint, place(), halfspace(0.0, 0.0, 1.0, 0.0)))
-    scene = cvi.Scene.from_pinocchio(model, geometry)
+    rate, start, velocity = 4.0, np.array([0.2, 0.1]), np.array([0.3, -0.2])
+    scene = _turning_plane(pin.JointModelRZ(), rate)
     scene.add_sphere("ball", radius=RADIUS)
     scene.set_contact(restitution=0.0, friction=0.8)
-    rate, start, velocity = 4.0, np.array([0.2, 0.1]), np.array([0.3, -0.2])
-    scene.prescribe("table", lambda t: (rate * t, rate, 0.0))
     # the contact point of the ball moves with the table
     slip = velocity - rate * np.array([-start[1], start[0]])
     spin = np.array([-slip[1], slip[0], 0.0]) / RADIUS
@@ -272,15 +278,9 @@ def shaking_belt(duration: float = 2.0) -> Held:
 def tilting_plane() -> Held:
     """A box on a driven plane that tilts until the box slips."""
     size, friction, turning, place_on = (0.4, 0.3, 0.1), 0.4, 0.5, 0.2
-    model = systems.empty_model(systems.GRAVITY)
-    joint = model.addJoint(0, pin.JointModelRY(), place(), "plane")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.3), place())
-    geometry = pin.GeometryModel()
-    geometry.addGeometryObject(pin.GeometryObject("top", joint, place(), halfspace(0.0, 0.0, 1.0, 0.0)))
-    scene = cvi.Scene.from_pinocchio(model, geometry)
+    scene = _turning_plane(pin.JointModelRY(), turning)
     scene.add_box("box", size, mass=2.0)
     scene.set_contact(restitution=0.0, friction=friction)
-    scene.prescribe("plane", lambda t: (turning * t, turning, 0.0))
     box = oracle.BoxOnTiltingPlane(friction, turning, 0.5 * size[2])
     q = np.append(0.0, pose([place_on, 0.0, box.half_height]))
     # the box turns with the plane
