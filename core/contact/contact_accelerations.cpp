@@ -2,7 +2,8 @@
 //
 // Accelerations instead of impulses: a_n = d/dt (W_n v) along the motion with the forces f on it,
 //   0 <= f_n _|_ a_n >= 0,  sticking: Coulomb's law between f_t and a_t, slipping: f_t = -mu f_n d.
-// d/dt (W v) without contact forces is the difference of W v at q (+) +-delta v, v +- delta a.
+// d/dt (W v) without contact forces is W a and the difference of W v at q (+) +-delta v, with a the acceleration and v
+// as it is: what a moves the rows by counts for nothing, and may be large where light bodies are held.
 #include <algorithm>
 #include <cmath>
 
@@ -41,15 +42,13 @@ bool ContactStep::accelerations(StepEquations& equations, const VecCRef& q, cons
   forward_dynamics(equations, q, v, tau, acceleration_);
   if (!acceleration_.allFinite()) return false;
   const double speed = v.cwiseAbs().maxCoeff(), delta = std::min(kLongest, kSide / (speed + kSide));
-  b_.setZero();
+  b_.noalias() = node1_.W.transpose() * acceleration_;
   const Node kept0 = node0_, kept1 = node1_;
   for (const double side : {1.0, -1.0}) {
-    v_side_ = v + 0.5 * side * delta * acceleration_;
-    integrate(scene_->tree, q, v_side_, side * delta, q_side_);
-    v_side_ = v + side * delta * acceleration_;
+    integrate(scene_->tree, q, v, side * delta, q_side_);
     node0_ = kept1;
     end_node(q_side_, kept1.t + side * delta);
-    b_.noalias() += (0.5 * side / delta) * (node1_.W.transpose() * v_side_);
+    b_.noalias() += (0.5 * side / delta) * (node1_.W.transpose() * v);
     b_.head(bilateral_) += (0.5 * side / delta) * node1_.rate;
   }
   node0_ = kept0;

@@ -50,7 +50,6 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
       rates_(scene.tree.nv, 1),
       guess_(scene.tree.nv),
       q_side_(scene.tree.nq),
-      v_side_(scene.tree.nv),
       acceleration_(scene.tree.nv),
       v_start_(scene.tree.nv) {
   const Tree& tree = scene.tree;

@@ -293,7 +293,7 @@ class ContactStep final : public Stepper {
   MatX DinvW_, S_, G_, MinvW_, right_sides_, G_end_, G_sub_, rates_;
   VecX b_sub_, x_, rest_;
   std::vector<ConeContact> force_cones_;
-  VecX w_end_, guess_, q_side_, v_side_, acceleration_;
+  VecX w_end_, guess_, q_side_, acceleration_;
   VecX v_start_;          // velocity at the start of the step just solved
   VecX v_node_;           // velocity at the end of the last step
   bool follows_ = false;  // the state is the end of the last step

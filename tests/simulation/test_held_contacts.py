@@ -6,7 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import contactvi as cvi
@@ -124,7 +126,7 @@ def test_energy_is_flat_over_1e5_steps(name, order):
     """What sticks, what slides without friction, and loops: the steps are symplectic, and the energy has no trend."""
     make, modes, steps = SYMPLECTIC[name]
     (scene, q, v), dt = make(), steps[order]
-    options: dict[str, Any] = {"dt": dt, "order": order, "tol": 1e-14, "record_every": 50, "dense": False}
+    options: dict[str, Any] = {"dt": dt, "order": order, "tol": 1e-15, "record_every": 50, "dense": False}
     traj = cvi.simulate(scene, q, v, duration=1e5 * dt, **options)
     assert {contact.mode for contact in traj.contacts.at(0.5 * traj.t[-1])} == modes
     assert traj.stats.contact_steps == traj.stats.halved == 0
@@ -157,3 +159,72 @@ def test_a_scene_has_no_memory_of_its_last_run(order):
     first, second = (cvi.simulate(scene, duration=0.4, dt=5e-3, order=order, dense=False) for _ in range(2))
     assert second.stats.contact_steps == first.stats.contact_steps
     np.testing.assert_array_equal(second.q, first.q)
+
+
+class PressingArm:
+    """An arm of three light rods on servos that press its tip, a ball, on the ground.
+
+    `holding` is an independent answer: the force at the tip that leaves it no acceleration, by Pinocchio's dynamics.
+    """
+
+    friction, radius, length, height = 0.2688, 0.03, 0.4, 0.5
+    masses = (0.506, 0.74, 0.7515)
+    kp, kd, target = (75.1, 41.9, 81.0), (3.43, 1.724, 3.41), (0.7648, 0.5414, 0.4167)
+
+    def __init__(self) -> None:
+        model, parent = systems.empty_model(systems.GRAVITY), 0
+        for k, mass in enumerate(self.masses):
+            at = systems.place(x=self.length) if k else systems.place(z=self.height)
+            parent = model.addJoint(parent, pin.JointModelRY(), at, f"j{k}")
+            inertia = pin.Inertia(mass, np.array([0.5 * self.length, 0.0, 0.0]), np.diag([1e-3, 0.013, 0.013]))
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        shapes: systems.Shapes = {
+            "tip": (parent, systems.place(x=self.length), coal.Sphere(self.radius)),
+            "ground": (0, systems.place(), systems.halfspace(0.0, 0.0, 1.0)),
+        }
+        self.scene = systems.built(model, shapes, [("ground", "tip")], 0.0, self.friction)
+        for k in range(3):
+            self.scene.set_servo(f"j{k}", kp=self.kp[k], kd=self.kd[k], target=self.target[k])
+        self.model, self.data = self.scene.model, self.scene.model.createData()
+
+    def rows(self, q: np.ndarray) -> np.ndarray:
+        """Return what takes velocities to those of the tip's lowest point along x and z, (2, 3)."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        turn = pin.getJointJacobian(self.model, self.data, 3, pin.LOCAL_WORLD_ALIGNED)
+        lowest = self.data.oMi[3].rotation @ [self.length, 0.0, 0.0] - [0.0, 0.0, self.radius]
+        return (turn[:3] - pin.skew(lowest) @ turn[3:])[[0, 2]]
+
+    def holding(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the force on the tip along x and z with which its lowest point has no acceleration [N]."""
+        W, step = self.rows(q), 1e-6
+        bias = (self.rows(q + step * v) - self.rows(q - step * v)) @ v / (2.0 * step)
+        servo = np.array(self.kp) * (np.array(self.target) - q) - np.array(self.kd) * v
+        mass = pin.crba(self.model, self.data, q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        free = np.linalg.solve(mass, servo - pin.nonLinearEffects(self.model, self.data, q, v))
+        return np.linalg.solve(W @ np.linalg.solve(mass, W.T), -(W @ free + bias))
+
+
+@pytest.mark.parametrize("order", [8, 16])
+def test_a_tip_that_is_pressed_sticks_and_slips_in_turn(order):
+    """The tip stays where it has come to rest until what holds it reaches the cone, and begins to slip then.
+
+    That is when the slip would begin with more than 1e-7 of the largest acceleration, which is 1e-5 of the force here.
+    """
+    arm = PressingArm()
+    options: dict[str, Any] = {"duration": 0.6, "order": order, "tol": 1e-14}
+    times = []
+    for dt in (2e-3, 1e-3):
+        traj = cvi.simulate(arm.scene, [0.1, 0.2, 0.2], [0.0, 0.0, 0.0], dt=dt, **options)
+        changes = traj.contact_changes
+        assert [c.change for c in changes] == ["begin", "stick", "slip", "stick"]
+        times.append(np.array([c.time for c in changes]))
+        for change in changes[1:]:
+            state = traj.at(change.time)
+            force = arm.holding(np.asarray(state.q), np.asarray(state.v))
+            held = abs(force[0]) / force[1] / arm.friction
+            if change.change == "slip":
+                assert held == pytest.approx(1.0, abs=1e-5)
+            else:
+                assert held < 1.0 - 1e-3
+    np.testing.assert_allclose(times[0], times[1], atol=2e-7)  # the force grows by 80 of it per second
