@@ -62,7 +62,7 @@ class StageIteration {
   // links and the Allegro hand, it saves iterations with 4 stages and more too, but not time (benchmarks/README.md).
   static constexpr double kSlow = 0.3;
   static constexpr int kNewtonStages = 3;
-  static constexpr double kGood = 0.1;      // contraction with which the matrix of a step with constraints is kept
+  static constexpr double kGood = 0.1;      // contraction with which a step with constraints keeps its matrix
   static constexpr double kVerySlow = 0.5;  // contraction from which on acceleration pays,
   static constexpr double kAccelerationError = 0.3;  // where the error is below this
   static constexpr double kFarEnergy = 30.0;  // growth of the energy over a solve: the solution found is not the motion
@@ -126,8 +126,9 @@ inline void StageIteration::judge(double error, double energy, bool few_stages) 
   const bool slow = count_ >= 2 && theta_ > kSlow && !constrained, turn = slow && !newton_ && few_stages;
   forgets_ = factor_ && accelerated_;  // its residuals belong to another matrix
   newton_ = newton_ || turn;
-  const bool good = constrained && theta_ >= 0.0 && theta_ < kGood;
-  factor_ = turn || (error > kRefactor && !accelerated_ && !good);
+  // Where slips begin the velocities are right to many digits long before the directions of the slips are.
+  const bool poor = !(theta_ >= 0.0 && theta_ < kGood) && error > kStagnantLate;
+  factor_ = constrained ? poor : turn || (error > kRefactor && !accelerated_);
   accelerates_ = (slow && theta_ > kVerySlow && !turn && error < kAccelerationError) || accelerated_;
   accelerated_ = accelerated_ || accelerates_;
   previous_ = error;
