@@ -40,6 +40,10 @@ void HeldStepTangent::refuse_unsolved() const {
          "Use a smaller dt");
 }
 
+int HeldStepTangent::first_guard() const {
+  return record_->contacts.empty() ? -1 : record_->contacts.front().point.guard;
+}
+
 VecX HeldStepTangent::of_node(const VecX& x, int node) const {
   VecX found(rows_);
   found.head(fixed_) = x.segment(stage_unknowns() + node * fixed_, fixed_);
@@ -189,7 +193,7 @@ void HeldStepTangent::make_matrix() {
     refuse("redundant", -1, "The motion depends on how constraints share their load",
            "gradients of constraints that depend on each other, or clearly do not", "a nearly singular configuration",
            "Start elsewhere, or use fewer constraints");
-  refuse("redundant", record_->contacts[0].point.guard, "The motion depends on how contact points share their load",
+  refuse("redundant", first_guard(), "The motion depends on how contact points share their load",
          "a motion that the laws of contact determine", "points near a singular configuration", "Start elsewhere");
 }
 
@@ -256,8 +260,7 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   const VecX faster =
       end.speed_change(record_->v1) * dq + MinvW_.transpose() * (dp - dp_mass_) + end.accelerations() * (d.t + d.h);
   if (!end_system_.solve(faster, row_sizes(d, 1.0), lambda) || !agree)
-    refuse("redundant", record_->contacts[0].point.guard,
-           "Contact points that share their load contradict each other along a direction",
+    refuse("redundant", first_guard(), "Contact points that share their load contradict each other along a direction",
            "a direction that keeps the points of a face closed together", "one that opens some of them",
            "Start with the bodies apart, or in touch at one point");
   dq1 = dq;

@@ -40,6 +40,7 @@ class HeldStepTangent {
   [[noreturn]] void refuse(const char* reason, int guard, const char* fact, const char* expected,
                            const std::string& got, const char* remedy) const;
   [[noreturn]] void refuse_unsolved() const;
+  int first_guard() const;  // of its contacts; -1: it has none
   void place_nodes();
   void give_impulses();
   void make_matrix();

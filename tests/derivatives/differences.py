@@ -75,9 +75,12 @@ def transpose_error(traj: cvi.Trajectory, wrt: list[str], seed: int = 0) -> floa
     assert value is None
     worst = 0.0
     for name in wrt:
-        expected = np.einsum("ni,nik->k", np.hstack([lq, lv]), S.of(name))
+        weights, of_nodes = np.hstack([lq, lv]), S.of(name)
+        expected = np.einsum("ni,nik->k", weights, of_nodes)
         got = found[name].sum(axis=0) if name == "control" else found[name]
-        size = float(np.abs(expected).max())  # zero where a friction that sticks does not depend on its coefficient
+        # The sum of many terms of both signs may be small. Zero where a friction that sticks does not depend on its
+        # coefficient.
+        size = float(np.einsum("ni,nik->k", np.abs(weights), np.abs(of_nodes)).max())
         worst = max(worst, float(np.abs(got - expected).max()) / (size if size > 0.0 else 1.0))
     return worst
 

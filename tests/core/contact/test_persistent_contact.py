@@ -315,10 +315,10 @@ def test_energy_of_holding_is_bounded_and_does_not_drift():
     assert laws.orders(spans)[0] == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("record", "step"), [("states", 0.1), ("gradient", 0.005)])
+@pytest.mark.parametrize("record", ["states", "gradient"])
 @pytest.mark.parametrize("order", [4, 8])
-def test_contact_phases_of_high_order_runs(order, record, step):
-    """Free flight at high order and a large dt, then smooth steps as long; steps of dt_contact for derivatives."""
+def test_contact_phases_of_high_order_runs(order, record):
+    """Free flight at high order and a large dt, then smooth steps as long, in which the ball rolls."""
     scene, q, v = persistent_runs.ball(mu=0.3, gap=1.0)
     v[:2] = 0.5, 0.2
     traj = cvi.simulate(scene, q, v, 1.0, 0.1, order=order, dt_contact=0.005, record=record)
@@ -326,12 +326,10 @@ def test_contact_phases_of_high_order_runs(order, record, step):
     assert traj.phases is not None
     assert traj.phases["persistent"].tolist() == [0, 1]
     assert traj.phases["t"][1] == pytest.approx(impact_time, abs=1e-10)
-    assert traj.phases["dt"][1] == step
-    assert traj.contacts.h.max() == pytest.approx(step, rel=1e-12)
-    in_contact = 1.0 - impact_time
-    assert (traj.stats.contact_steps >= in_contact / step) if record == "gradient" else traj.stats.contact_steps == 0
-    order_2 = " with order 2, dt = 0.005 s" if record == "gradient" else ""
-    assert traj.stepping == f"order {order}, dt = 0.1 s, persistent contact for {in_contact:.4g} s{order_2}"
+    assert traj.phases["dt"][1] == 0.1
+    assert traj.contacts.h.max() == pytest.approx(0.1, rel=1e-12)
+    assert traj.stats.contact_steps == 0
+    assert traj.stepping == f"order {order}, dt = 0.1 s, persistent contact for {1.0 - impact_time:.4g} s"
     check_contacts(traj, 0.3)
     check_sums(traj, [1.0], ["ball"])
     # impact with friction: the slip .54 m/s stops within it, 2/7 of it changes the speed; then it rolls
