@@ -62,8 +62,8 @@ class StageIteration {
   // links and the Allegro hand, it saves iterations with 4 stages and more too, but not time (benchmarks/README.md).
   static constexpr double kSlow = 0.3;
   static constexpr int kNewtonStages = 3;
-  static constexpr double kGood = 0.1;      // contraction with which a step with constraints keeps its matrix
-  static constexpr double kVerySlow = 0.5;  // contraction from which on acceleration pays,
+  static constexpr double kGood = 0.1;               // contraction with which a step with constraints keeps its matrix
+  static constexpr double kVerySlow = 0.5;           // contraction from which on acceleration pays,
   static constexpr double kAccelerationError = 0.3;  // where the error is below this
   static constexpr double kFarEnergy = 30.0;  // growth of the energy over a solve: the solution found is not the motion
   void judge(double error, double energy, bool few_stages);
