@@ -792,12 +792,6 @@ class KeptRun:
         """Begins, ends and slips of persistent contacts."""
 
     @property
-    def slips_left_out(self) -> float:
-        """
-        The most that a smooth step left out of the directions of its slips [m].
-        """
-
-    @property
     def dense_steps(self) -> int: ...
 
     @property

@@ -239,7 +239,7 @@ class _Search:
     def _judge(self, companion: AutoRun, found: AutoRun, before: Judged | None) -> Judged:
         """Judge a run by its companion. before: what the companion was judged to be."""
         floor, size = self._floor(found)
-        floor = max(floor, found.run.first_step_error, found.run.slips_left_out)
+        floor = max(floor, found.run.first_step_error)
         if not found.ok:
             # Runs that end where impacts accumulate are compared up to there.
             same = companion.code == found.code

@@ -104,9 +104,6 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       .def_prop_ro(
           "contact_changes", [count](const Own& own) { return count(own.run.recording.changes.size()); },
           "Begins, ends and slips of persistent contacts.")
-      .def_prop_ro(
-          "slips_left_out", [](const Own& own) { return own.run.state.slips_left_out; },
-          "The most that a smooth step left out of the directions of its slips [m].")
       .def_prop_ro("dense_steps", [](const Own& own) { return own.run.state.dense_steps; })
       .def_prop_ro("contact_iterations", [](const Own& own) { return own.run.counters.contact.contact_iterations; })
       .def_prop_ro(

@@ -62,7 +62,6 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   s.dense = from.dense;
   s.impacts = s.rejected = s.dense_steps = 0;
   s.contact_seconds = 0.0;
-  s.slips_left_out = 0.0;
   actuation_.start();
   recall(fresh);
   contact_step_.set_nominal(options_.dt);
@@ -86,7 +85,6 @@ void Simulator::forget_counts() {
   state_.impacts = state_.dense_steps = state_.control.halved = state_.actuators.saturated = 0;
   state_.switches = SwitchCounts();
   state_.contact_seconds = 0.0;
-  state_.slips_left_out = 0.0;
   state_.work.clear();
 }
 

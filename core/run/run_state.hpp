@@ -51,8 +51,7 @@ struct RunState {
   DensePhase dense;
   long impacts = 0, rejected = 0, dense_steps = 0;
   double contact_seconds = 0;
-  double slips_left_out = 0;  // the most that a smooth step left out of the directions of its slips [m]
-  double deepest = 0;         // the least gap of a pair that a record tells of [m]
+  double deepest = 0;  // the least gap of a pair that a record tells of [m]
   ContactStepsUntil contact_steps;
 };
 

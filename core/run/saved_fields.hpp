@@ -111,10 +111,10 @@ template <class Archive>
 void fields(Archive& a, RunState& x) {
   auto& [start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
          initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds,
-         slips_left_out, deepest, contact_steps] = x;
+         deepest, contact_steps] = x;
   values(a, start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
          initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds,
-         slips_left_out, deepest, contact_steps);
+         deepest, contact_steps);
 }
 
 template <class Archive>

@@ -440,7 +440,6 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (holds) {
     if (sinks_deeper(recording, at + h)) return reject();
     if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
-    state_.slips_left_out = std::max(state_.slips_left_out, integrator_.constraints()->slips_left_out());
     if (keeps_held_steps()) keep_held_step();
     modes_.commit(at, state_.step, options_.record_contacts, recording);
   } else if (keeps_held_steps()) {
@@ -493,10 +492,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const bool holds = modes_.active();
   if (before > 0.0) {
     if (keeps_held_steps()) keep_held_step();
-    if (holds) {
-      state_.slips_left_out = std::max(state_.slips_left_out, integrator_.constraints()->slips_left_out());
-      modes_.commit(at, state_.step, options_.record_contacts, recording);
-    }
+    if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();
     record_segment(at, before, event.p, recording);

@@ -265,17 +265,6 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
   }
 }
 
-double StageConstraints::slips_left_out() const {
-  double largest = 0.0;
-  for (int j = 0; j < slides_; ++j) {
-    double mode = 0.0, sign = 1.0;  // P_s at the Lobatto nodes is +-1 / sqrt(s (s + 1) e)
-    for (int k = stages_; k >= 0; --k, sign = -sign)
-      mode += sign * std::sqrt(stages_ * (stages_ + 1) * table_->e[k]) / (stages_ + 1) * angles_(j, k);
-    largest = std::max(largest, h_ * std::abs(answers_.row(j).sum()) * mode * mode);
-  }
-  return largest;
-}
-
 // Sets impulse_ to what acts at a node.
 void StageConstraints::impulse_at(int node, bool chart) {
   const Node& at = nodes_[node];

@@ -80,10 +80,6 @@ class StageConstraints {
   // Those of all rows (rows, s + 1).
   const MatX& node_impulses() const { return lambda_; }
   const MatX& slips() const { return slips_; }
-  // Of the step just solved: the larger of these of its slips, h^2 times the acceleration of friction times the square
-  // of the highest mode of the direction [m]. That is what its polynomial leaves out of the motion: a slip that has just
-  // begun, or nearly ends, turns on a scale of time of its own.
-  double slips_left_out() const;
   // Work of the constant forces [J].
   double load_work() const { return load_work_; }
   const LobattoTable& table() const { return *table_; }

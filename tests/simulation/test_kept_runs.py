@@ -16,7 +16,6 @@ from contactvi.options import Options
 from contactvi.simulation import adaptive, engine
 from contactvi.simulation.auto_contact import LEAST, Judged
 from contactvi.trajectory.compiled import compile_scene
-from helpers import held_contact_scenes
 from helpers.chains import chain
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
@@ -254,26 +253,6 @@ def test_samples_are_the_states_at_their_times():
         at = exact.at(traj.t)
         np.testing.assert_allclose(traj.q, at.q, atol=1e-6)
         np.testing.assert_allclose(traj.p, at.p, atol=1e-4)
-
-
-@pytest.mark.parametrize("order", [8, 16])
-@pytest.mark.parametrize("level", [1e-3, 1e-4, 1e-5])
-@pytest.mark.parametrize(("turn", "part", "fast"), [(2.6, 0.97, True), (2.6, 1.4, True), (1.5, 0.97, False)])
-def test_what_steps_leave_out_of_slips(turn, part, fast, level, order):
-    """Of slips that turn faster than the steps follow it is about the error, of others nothing beside it."""
-    known = held_contact_scenes.turning_slip(turn, part)
-    compiled, chosen = compile_scene(known.scene), options(duration=known.duration, order=order)
-    simulator = engine.make(compiled, chosen)
-    assert engine.accepts(simulator, *engine.checked_start(compiled, chosen, known.q, known.v)[0])
-    run, _ = engine.run_auto(simulator, chosen.span, level, None)
-    left_out = run.slips_left_out
-    traj = record_of(run, compiled, chosen).trajectory(simulator, math.nan)
-    off = known.observe(traj.q, traj.v)[1:] - known.exact(traj.t)[1:]
-    error = np.linalg.norm(off[:, known.places], axis=1).max()
-    if fast:
-        assert error / 10.0 <= left_out <= 300.0 * error
-    else:
-        assert left_out <= 0.01 * error
 
 
 # -- the law -----------------------------------------------------------------------------------------------------------
