@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "contact/friction_joint.hpp"
 #include "contact/persistent_contact.hpp"
 #include "step/integrator.hpp"
 
@@ -13,14 +14,21 @@ struct HeldStepRecord {
   VecX q0, p0, v1;
   MatX rates;   // of the charts at its stages, (nv, s)
   MatX lambda;  // impulses of its rows at its nodes, (rows, s + 1)
+  MatX angles;  // directions of the slips there, from the first tangents, (sliding contacts, s + 1)
   // As they are before the step, which are those of the rows after the constraints'.
   std::vector<PersistentContact> contacts;
+  std::vector<FrictionJoint> joints;
+  // What ended it by coming to rest: the slip of a contact, or of a joint, which count after the contacts; -1: nothing.
+  int rests = -1;
+
+  bool ends_itself() const { return rests >= 0; }
 };
 
 // The step from (q0, p0) that was just solved, without contacts.
 inline HeldStepRecord held_step_record(Integrator& solved, const VecX& q0, const VecX& p0) {
   const StageConstraints& rows = *solved.constraints();
-  return {solved.time(), solved.length(), q0, p0, rows.end_velocity(), solved.rates(), rows.node_impulses(), {}};
+  return {solved.time(),  solved.length(),      q0, p0, rows.end_velocity(),
+          solved.rates(), rows.node_impulses(), {}, {},  {}};
 }
 
 }  // namespace contactvi

@@ -101,12 +101,6 @@ bool ContactModes::is_paradox(std::size_t i) const {
   return G(r, r) - step_->contacts()[i].mu * G.row(r).segment<2>(r + 1).dot(d) <= kParadox * G(r, r);
 }
 
-bool ContactModes::have_derivatives() const {
-  const std::vector<PersistentContact>& contacts = step_->contacts();
-  return std::all_of(contacts.begin(), contacts.end(),
-                     [](const PersistentContact& c) { return c.mu == 0.0 || c.sticks; });
-}
-
 bool ContactModes::fits(const VecX& q1) {
   if (rows_.runs_far(integrator_->stages() + 1)) return false;
   guards_->place(q1);

@@ -19,7 +19,6 @@ constexpr double kAtOnce = 1e-9;  // [s] of 1 s + t: spans follow each other
 }  // namespace
 
 bool Simulator::may_hold_contacts(double time) const {
-  if (options_.gradient && !modes_.have_derivatives()) return false;
   return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }
 
@@ -55,15 +54,25 @@ bool Simulator::held_step_keeps_energy() {
          kResolved * (T0 + T1 + std::abs(V1 - V0)) + kEnergyRounding * (std::abs(V0) + std::abs(V1));
 }
 
-void Simulator::keep_held_step() {
+// rests: see HeldStepRecord.
+void Simulator::keep_held_step(int rests) {
   kept_held_steps_.push_back(held_step_record(integrator_, state_.q, state_.p));
-  if (modes_.active()) kept_held_steps_.back().contacts = contact_step_.contacts();
+  HeldStepRecord& record = kept_held_steps_.back();
+  record.rests = rests;
+  if (!modes_.active()) return;
+  record.angles = integrator_.constraints()->slip_angles();
+  record.contacts = contact_step_.contacts();
+  record.joints = contact_step_.friction_joints();
 }
 
-// Whether what ends the smooth step is the beginning of a slip.
-bool Simulator::slip_begins() const {
+// What comes to rest where the step ends that was searched last, as HeldStepRecord has it.
+int Simulator::what_rests() const {
   const int function = switches_.which() - branches_.count();
-  return function >= 0 && modes_.ending(function).end == ContactModes::End::kSlip;
+  if (function < 0) return -1;
+  const ContactModes::Ending ending = modes_.ending(function);
+  const int number = static_cast<int>(ending.contact), contacts = static_cast<int>(contact_step_.contacts().size());
+  if (ending.end == ContactModes::End::kStick) return number;
+  return ending.end == ContactModes::End::kJointSticks ? contacts + number : -1;
 }
 
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.

@@ -51,7 +51,7 @@ Vec3 ContactPieceAdjoint::take_anchor(const ContactPoint& point) {
 }
 
 void ContactPieceAdjoint::leave_anchors(VecX& lq) {
-  if (held_piece_ != nullptr) return leave_held_anchors();
+  if (held_piece_ != nullptr) return leave_held_anchors(lq);
   if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
     finish();
     return;
@@ -79,13 +79,19 @@ void ContactPieceAdjoint::leave_anchors(VecX& lq) {
 }
 
 // They count from the start of the step, or from where they stuck before it.
-void ContactPieceAdjoint::leave_held_anchors() {
+void ContactPieceAdjoint::leave_held_anchors(VecX& lq) {
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   held_anchors_.setZero(3, static_cast<Eigen::Index>(contacts.size()));
   for (std::size_t i = 0; i < contacts.size(); ++i)
     if (contacts[i].keeps_place()) held_anchors_.col(static_cast<Eigen::Index>(i)) = take_anchor(contacts[i].point);
   finish();
   anchors_.clear();
+  const std::vector<FrictionJoint>& joints = held_piece_->held->joints;
+  for (std::size_t j = 0; j < joints.size(); ++j) {
+    if (!joints[j].sticks) continue;
+    lq[joints[j].dof] += joint_anchors_[static_cast<Eigen::Index>(j)];
+    joint_anchors_[static_cast<Eigen::Index>(j)] = 0.0;
+  }
 }
 
 void ContactPieceAdjoint::finish() const {
@@ -159,14 +165,25 @@ void ContactPieceAdjoint::pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradi
 }
 
 void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+  const bool rests = held_piece_->held->ends_itself();
+  double lslip = 0.0;
+  if (rests) {
+    VecX fq(lq.size()), fp(lq.size());
+    solve_length(fq, fp);
+    const double rate = held_->tangent().slip_change();
+    check_rest(rate, held_piece_->t + held_piece_->h);
+    lslip = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;
+    ltime = 0.0;
+  }
   result.begin_step();
-  if (!held_->solve(lq, lp, gradient_, result.parameters))
+  if (!held_->solve(lq, lp, lslip, gradient_, result.parameters))
     throw NoDerivative({"step", -1, held_piece_->t}, "The derivative of a step was not solved",
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = gradient_.q;
   lp = gradient_.p;
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
+    if (contacts[i].mu > 0.0) result.mu[contacts[i].point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
     if (!contacts[i].keeps_place()) continue;
     const Vec3 gradient = held_anchors_.col(static_cast<Eigen::Index>(i));
     if (contacts[i].anchored) {

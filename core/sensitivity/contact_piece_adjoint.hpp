@@ -43,7 +43,7 @@ class ContactPieceAdjoint {
 
   void add_energy(double lenergy, VecX& lq, VecX& lp, double& ltime);
   Vec3 take_anchor(const ContactPoint& point);
-  void leave_held_anchors();
+  void leave_held_anchors(VecX& lq);
   double pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result);

@@ -139,6 +139,7 @@ void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
 // As a smooth step without rows: to the time that it ends at or, where it has a given length, so long after its start.
 void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
   energies_.setZero(d.count);
+  slip_.setZero(d.count);
   size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
   size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
   held_anchors_ = held_anchors(columns);
@@ -157,10 +158,17 @@ void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
     inputs_->mask(direction.tau);
     direction.t = columns.time[k];
     direction.h = held_piece_->end == PieceEnd::kLength ? 0.0 : -columns.time[k];
+    direction.mu = friction_change(d, k);
     direction.parameters = d.parameter(k);
     held_->solve(direction, columns.q.col(k), columns.p.col(k));
+    slip_[k] = held_->slip_change();
     if (held_piece_->end == PieceEnd::kTime) columns.time[k] = 0.0;
   }
+  if (!held_piece_->held->ends_itself()) return;
+  VecX fq(columns.q.rows()), fp(columns.q.rows());
+  solve_length(fq, fp);
+  check_rest(held_->slip_change(), held_piece_->t + held_piece_->h);
+  columns.move_on(slip_ / -held_->slip_change(), fq, fp);
 }
 
 // What sticks from a held step on: where it stuck before, or as it is at the start of the step, where columns are.
@@ -180,19 +188,28 @@ std::vector<ContactPieces::Anchor> ContactPieces::held_anchors(const RunColumns&
 VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column) const {
   VecX dmu;
   if (d.mu.size() == 0) return dmu;
-  dmu.resize(static_cast<Eigen::Index>(step_->contacts.size()));
-  for (std::size_t i = 0; i < step_->contacts.size(); ++i) {
-    const PersistentContact& before = step_->contacts[i].before;
-    dmu[i] = before.mu > 0.0 ? d.mu(before.point.guard, column) : 0.0;
+  const std::size_t count = held_piece_ != nullptr ? held_piece_->held->contacts.size() : step_->contacts.size();
+  dmu.resize(static_cast<Eigen::Index>(count));
+  for (std::size_t i = 0; i < count; ++i) {
+    const PersistentContact& before =
+        held_piece_ != nullptr ? held_piece_->held->contacts[i] : step_->contacts[i].before;
+    dmu[static_cast<Eigen::Index>(i)] = before.mu > 0.0 ? d.mu(before.point.guard, column) : 0.0;
   }
   return dmu;
 }
 
-void check_contact_end(const ContactStepRecord& step, double rate) {
+namespace {
+void check_end(const char* reason, double rate, double time) {
   if (std::abs(rate) > 0.0) return;
-  throw NoDerivative({step.ending == ContactStepEnd::kRelease ? "release" : "stick", -1, step.t + step.h},
-                     "The end of a contact is grazing", "a slip or a force that falls to zero", "one that stays",
-                     "Start elsewhere");
+  throw NoDerivative({reason, -1, time}, "The end of a contact is grazing", "a slip or a force that falls to zero",
+                     "one that stays", "Start elsewhere");
+}
+}  // namespace
+
+void check_rest(double rate, double time) { check_end("stick", rate, time); }
+
+void check_contact_end(const ContactStepRecord& step, double rate) {
+  check_end(step.ending == ContactStepEnd::kRelease ? "release" : "stick", rate, step.t + step.h);
 }
 
 // The end of a piece where a contact changes without an impact: a slip comes to rest, or a force to zero.
@@ -219,6 +236,9 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
 void ContactPieces::keep_anchors(const RunColumns& columns) {
   if (held_piece_ != nullptr) {
     anchors_ = std::move(held_anchors_);
+    const std::vector<FrictionJoint>& joints = held_piece_->held->joints;
+    for (std::size_t j = 0; j < joints.size(); ++j)
+      if (joints[j].sticks) joint_anchors_.row(static_cast<Eigen::Index>(j)) = columns.q.row(joints[j].dof);
     return;
   }
   if (dense_step_ != nullptr) {  // contacts stick without an anchor after it

@@ -23,8 +23,10 @@ struct DenseStepReport {
 // Throws NoDerivative for a piece with persistent contacts that has no derivative: a dense step that was not kept, or
 // one beside an implicit impact map.
 void check_contact_piece(const RecordedRun& run, const Piece& piece);
-// Throws NoDerivative where what ends a step, a slip or a force, does not change with time.
+// Throws NoDerivative where what ends a step, a slip or a force, does not change with time; the same of a held step,
+// which a slip ends at a time [s].
 void check_contact_end(const ContactStepRecord& step, double rate);
+void check_rest(double rate, double time);
 // Throws NoDerivative for a contact that sticks without having come to stick in the run.
 [[noreturn]] void refuse_sticking_start(const ContactPoint& point, double time);
 
