@@ -20,7 +20,7 @@ void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   inputs_ = &inputs;
   number_ = piece.step;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points);
+    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points, take_branch_);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
     return;
   }

@@ -42,7 +42,7 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   held_piece_ = piece.held != nullptr ? &piece : nullptr;
   inputs_ = &inputs;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages, run_->contact_points);
+    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages, run_->contact_points, take_branch_);
     for (const PersistentContact& c : piece.held->contacts)
       if (c.anchored && anchor_of(c.point) == nullptr) refuse_sticking_start(c.point, piece.t);
     held_->take(*piece.held, inputs.tau(), inputs.servo());

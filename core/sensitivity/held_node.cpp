@@ -136,6 +136,20 @@ MatX HeldNode::place_change(const ContactPoint& point) {
   return found;
 }
 
+MatX HeldNode::frame_turns(const std::vector<PersistentContact>& contacts, const PersistentRows& phase) {
+  const Eigen::Index n = bend_.rows();
+  MatX found = MatX::Zero(lead_.cols(), n);
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const int j = phase.slide(i);
+    if (j < 0 || contacts[i].point.kind != PointKind::kVertex) continue;
+    for (Eigen::Index k = 0; k < n; ++k) {
+      twists_.move(VecX::Unit(n, k));
+      found(j, k) = twists_.turn(contacts[i].point.plane_body).dot(contacts_[i].contact().normal);
+    }
+  }
+  return found;
+}
+
 // Sets change_ to that of the columns along dq. How tangents turn about the normal changes no motion where all three
 // components of an impulse are free, or the direction of the slip is.
 void HeldNode::change(const VecX& dq) {

@@ -53,6 +53,9 @@ class HeldNode {
   // there along which its displacement counts, (2, 3).
   MatX place_change(const ContactPoint& point);
   static Eigen::Matrix<double, 2, 3> tangents(const PersistentContact& contact);
+  // By how much the tangents of sliding contacts turn about their normals with the configuration, where they are fixed
+  // to a plane, (slides, nv): no other derivative here has that.
+  MatX frame_turns(const std::vector<PersistentContact>& contacts, const PersistentRows& phase);
 
  private:
   bool take_contacts(const std::vector<PersistentContact>& contacts, const PersistentRows& phase, int number);

@@ -2,8 +2,8 @@
 
 namespace contactvi {
 
-HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages, int contact_points)
-    : tangent_(scene, stages, contact_points), adjoint_(scene.tree, stages) {}
+HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages, int contact_points, bool take_branch)
+    : tangent_(scene, stages, contact_points, take_branch), adjoint_(scene.tree, stages) {}
 
 void HeldStepAdjoint::take(const HeldStepRecord& step, const VecX& tau, const Servo* servo) {
   tangent_.take(step, tau, servo);
@@ -82,11 +82,12 @@ void HeldStepAdjoint::pass_end(const VecX& lend, const VecX& mu, StepParameters&
 }
 
 // From the gradients in the directions at the start to those in what the velocity there depends on besides the state.
-void HeldStepAdjoint::pass_start(const VecX& lturns, const VecX& mu, StepParameters& sums) {
+void HeldStepAdjoint::pass_start(VecX lturns, const VecX& mu, StepParameters& sums) {
   HeldStepTangent& t = tangent_;
+  t.slip_start_.pass(lturns, sums);
   VecX lv = t.slips_by_rate(t.raised_.rate_by_start, t.raised_.moved_by_start).transpose() * mu.tail(t.turns());
   for (int j = 0; j < t.slides_; ++j)
-    lv += (lturns[j] / t.start_slips_[j]) * t.nodes_[0].watched().col(t.rows_ + j);
+    if (lturns[j] != 0.0) lv += (lturns[j] / t.start_slips_[j]) * t.nodes_[0].watched().col(t.rows_ + j);
   adjoint_.add_momentum_parameters(t.record_->q0, t.v0_, -(t.inverse_start_ * lv), sums);
 }
 

@@ -12,7 +12,7 @@ namespace contactvi {
 
 class HeldStepAdjoint {
  public:
-  HeldStepAdjoint(const Scene& scene, int stages, int contact_points);
+  HeldStepAdjoint(const Scene& scene, int stages, int contact_points, bool take_branch);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const HeldStepRecord& step, const VecX& tau, const Servo* servo);
@@ -32,7 +32,7 @@ class HeldStepAdjoint {
   Columns columns(int count, ContactStepDirection& direction, Entry entry);
   Columns turn_columns();
   void pass_end(const VecX& lend, const VecX& mu, StepParameters& sums, VecX& lq, VecX& lp);
-  void pass_start(const VecX& lturns, const VecX& mu, StepParameters& sums);
+  void pass_start(VecX lturns, const VecX& mu, StepParameters& sums);
 
   HeldStepTangent tangent_;
   StepAdjoint adjoint_;

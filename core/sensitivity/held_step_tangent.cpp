@@ -8,15 +8,19 @@ namespace contactvi {
 namespace {
 constexpr double kShared = 1e-7;  // of the effect of all impulses: what is shared has less
 constexpr int kPasses = 3;        // the first solves, the others take the rounding off
+constexpr double kStill = 1e-11;  // of the speeds: slip below it has no direction
+// Of the terms of a speed: what changes by more along a direction is moved by it.
+constexpr double kMoved = 1e-8;
 constexpr double kAcross = 1e-6;  // of the speeds: a slip that is across its direction by more has turned back
 const ContactStepDirection kNoDirection;
 }  // namespace
 
-HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_points)
+HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_points, bool take_branch)
     : scene_(&scene),
       tree_(&scene.tree),
       nv_(scene.tree.nv),
       stages_(stages),
+      take_branch_(take_branch),
       fixed_(scene.tree.elements.constraint_rows),
       table_(&lobatto_table(stages)),
       raised_(stages),
@@ -30,6 +34,7 @@ HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_poi
       weights_(stages, stages),
       to_nodes_(stages, stages + 1),
       velocities_(scene.tree.nv, stages),
+      slip_start_(scene),
       raised_charts_(static_cast<std::size_t>(stages), NodeChart(scene.tree)),
       none_(VecX::Zero(scene.tree.nv)) {}
 
@@ -71,7 +76,7 @@ void HeldStepTangent::take(const HeldStepRecord& step, const VecX& tau, const Se
   give_impulses();
   step_.take(step.q0, p_start_, step.h, tau, step.t, servo, velocities_);
   step_.add_impulses(impulses_);
-  if (slides_ > 0) take_start();
+  if (slides_ > 0 || !record_->joints.empty()) take_start(tau, servo);
   take_end();
   if (slides_ > 0) take_slips();
   make_matrix();
@@ -130,7 +135,7 @@ void HeldStepTangent::give_impulses() {
   }
 }
 
-void HeldStepTangent::take_start() {
+void HeldStepTangent::take_start(const VecX& tau, const Servo* servo) {
   const HeldStepRecord& s = *record_;
   HeldNode& start = nodes_.front();
   masses_.place_node(s.q0);
@@ -141,6 +146,13 @@ void HeldStepTangent::take_start() {
   for (int k = 0; k < nv_; ++k) step_.momentum(s.q0, v0_, VecX::Unit(nv_, k), none_, start_mass_change_.col(k));
   start.change_speeds(v0_, start_watched_, start_along_);
   start_slips_ = start.along().transpose() * v0_;
+  std::vector<int> begins;
+  const double still = kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+  for (int j = 0; j < slides_; ++j)
+    if (std::abs(start_slips_[j]) <= still) begins.push_back(j);
+  if (slip_start_.take(s, phase_, std::move(begins), tau, servo)) return;
+  refuse("witness", first_guard(), "The direction in which a slip begins has no derivative",
+         "nearest points inside of their features", "points near their ends", "Start elsewhere");
 }
 
 void HeldStepTangent::take_end() {
@@ -219,8 +231,36 @@ VecX HeldStepTangent::start_turns(const ContactStepDirection& d) {
   const VecX& dq = d.q.size() > 0 ? d.q : none_;
   const VecX across = nodes_[0].watched().rightCols(slides_).transpose() * start_velocity_change(d) +
                       start_watched_.bottomRows(slides_) * dq;
-  for (int j = 0; j < slides_; ++j) found[j] = across[j] / start_slips_[j];
+  found = across.cwiseQuotient(start_slips_);
+  found(slip_start_.begins()).setZero();
+  slip_start_.add_turns(d, friction_changes(d), found);
   return found;
+}
+
+// What begins to slide is at rest: along a direction that moves it there is a kink.
+void HeldStepTangent::check_start(const ContactStepDirection& d) {
+  if (take_branch_ || (slides_ == 0 && record_->joints.empty())) return;
+  const VecX& dq = d.q.size() > 0 ? d.q : none_;
+  const VecX dv = start_velocity_change(d), size = start_sizes(d);
+  const double still = kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+  const auto refuse_moved = [&](int guard) {
+    refuse("friction", guard, "A slip begins at rest, which a direction moves", "a direction that leaves it at rest",
+           "one that does not", "Start in motion; on_kink='taken' gives the derivative of the slip that was taken");
+  };
+  const HeldNode& start = nodes_.front();
+  const VecX along = start.along().transpose() * dv + start_along_ * dq;
+  const VecX across = start.watched().rightCols(slides_).transpose() * dv + start_watched_.bottomRows(slides_) * dq;
+  const VecX sizes = start.along().cwiseAbs().transpose() * size + start.watched().rightCols(slides_).cwiseAbs().transpose() * size;
+  for (const int j : slip_start_.begins()) {
+    if (std::hypot(along[j], across[j]) > kMoved * sizes[j])
+      refuse_moved(record_->contacts[slide_of_[static_cast<std::size_t>(j)]].point.guard);
+    if (d.t != 0.0 && slip_start_.depends_on_time())
+      refuse("time", -1, "A slip begins beside a prescribed motion, at a time that moves", "a time that is given",
+             "one that an event moves", "Start elsewhere");
+  }
+  for (const FrictionJoint& joint : record_->joints)
+    if (!joint.sticks && std::abs(v0_[joint.dof]) <= still && std::abs(dv[joint.dof]) > kMoved * size[joint.dof])
+      refuse_moved(-1);
 }
 
 bool HeldStepTangent::assess(const ContactStepDirection& d, const VecX& x, const VecX& start, const VecX& size,
@@ -407,6 +447,13 @@ VecX HeldStepTangent::solve_transposed(const VecX& right) const {
   return mu;
 }
 
+// Of the terms of the change of the velocity at the start, (nv,).
+VecX HeldStepTangent::start_sizes(const ContactStepDirection& d) const {
+  const double q = std::max(d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0);
+  const double p = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
+  return VecX::Constant(nv_, q / record_->h) + p * inverse_start_.cwiseAbs().rowwise().sum();
+}
+
 // Of the terms of the speeds that are zero at the end.
 VecX HeldStepTangent::speed_sizes(const ContactStepDirection& d) const {
   const double q = std::max(d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0);
@@ -416,6 +463,7 @@ VecX HeldStepTangent::speed_sizes(const ContactStepDirection& d) const {
 }
 
 void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp1) {
+  check_start(d);
   const int own = stage_unknowns();
   VecX x = VecX::Zero(unknowns()), off(unknowns()), end(2 * nv_ + 1);
   const VecX size = speed_sizes(d), none = VecX::Zero(unknowns() - own), start = start_turns(d);

@@ -23,6 +23,7 @@
 #include "contact/held_step_record.hpp"
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/held_node.hpp"
+#include "sensitivity/slip_start.hpp"
 #include "step/raised_nodes.hpp"
 #include "step/step_tangent.hpp"
 
@@ -30,8 +31,9 @@ namespace contactvi {
 
 class HeldStepTangent {
  public:
-  // contact_points: of a pair, at most.
-  HeldStepTangent(const Scene& scene, int stages, int contact_points);
+  // contact_points: of a pair, at most. take_branch: whether slips that begin at rest count as going on along their
+  // directions where a direction moves what rests; else that is an obstacle.
+  HeldStepTangent(const Scene& scene, int stages, int contact_points, bool take_branch);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const HeldStepRecord& step, const VecX& tau, const Servo* servo);
@@ -51,7 +53,7 @@ class HeldStepTangent {
   int first_guard() const;  // of its contacts; -1: it has none
   void place_nodes();
   void give_impulses();
-  void take_start();
+  void take_start(const VecX& tau, const Servo* servo);
   void take_end();
   void take_slips();
   void make_matrix();
@@ -64,10 +66,12 @@ class HeldStepTangent {
   VecX of_node(const VecX& x, int node, const VecX& start) const;
   // The equations of the rows at the node after it: (rows,).
   void set_node(VecRef x, int node, const VecX& values) const;
+  VecX start_sizes(const ContactStepDirection& direction) const;
   VecX speed_sizes(const ContactStepDirection& direction) const;
   VecX anchor_changes(const ContactStepDirection& direction, const VecX& start) const;
   VecX friction_changes(const ContactStepDirection& direction) const;
   VecX force_change(int node, const ContactStepDirection& direction, const VecX& dq, const VecX& impulses) const;
+  void check_start(const ContactStepDirection& direction);
   VecX start_velocity_change(const ContactStepDirection& direction);
   VecX start_turns(const ContactStepDirection& direction);
   // Along a direction and with changes x of the unknowns, (unknowns,): what the equations are off by, and what the end
@@ -87,6 +91,7 @@ class HeldStepTangent {
   const Scene* scene_;
   const Tree* tree_;
   int nv_, stages_;
+  bool take_branch_;
   int fixed_, rows_ = 0, slides_ = 0;  // rows of the constraints, of all; contacts that slide
   const LobattoTable* table_;
   RaisedNodes raised_;
@@ -112,6 +117,7 @@ class HeldStepTangent {
   VecX v0_;
   MatX inverse_start_, start_mass_change_, start_watched_, start_along_;
   VecX start_slips_;
+  SlipStart slip_start_;
   // The end: d(M v)/dq, changes of the speeds, M^-1 of what is given and of what is watched there, the equations of the
   // impulse and the directions.
   MatX end_mass_change_, end_watched_, end_along_, MinvF_, MinvC_;

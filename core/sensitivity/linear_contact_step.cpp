@@ -86,7 +86,7 @@ LinearStep linearize_held_step(const Scene& scene, const VecX& q0, const VecX& x
   Integrator integrator(scene.tree, stages, tol, kStepIterations, true);
   PublicStep step(scene.tree, q0, x0, kind, h, inputs, integrator);
   const HeldStepRecord record = held_step_record(integrator, step.q0, step.p0);
-  HeldStepTangent tangent(scene, stages, 1);
+  HeldStepTangent tangent(scene, stages, 1, false);
   tangent.take(record, inputs.tau, integrator.servo());
   return all_columns(scene.tree, integrator, step.start(), step.end(), tangent);
 }
