@@ -54,25 +54,32 @@ bool Simulator::held_step_keeps_energy() {
          kResolved * (T0 + T1 + std::abs(V1 - V0)) + kEnergyRounding * (std::abs(V0) + std::abs(V1));
 }
 
-// rests: see HeldStepRecord.
-void Simulator::keep_held_step(int rests) {
+// switches: whether it ends where the last search has found something to end.
+void Simulator::keep_held_step(bool switches) {
   kept_held_steps_.push_back(held_step_record(integrator_, state_.q, state_.p));
-  HeldStepRecord& record = kept_held_steps_.back();
-  record.rests = rests;
   if (!modes_.active()) return;
+  HeldStepRecord& record = kept_held_steps_.back();
   record.angles = integrator_.constraints()->slip_angles();
   record.contacts = contact_step_.contacts();
   record.joints = contact_step_.friction_joints();
-}
-
-// What comes to rest where the step ends that was searched last, as HeldStepRecord has it.
-int Simulator::what_rests() const {
-  const int function = switches_.which() - branches_.count();
-  if (function < 0) return -1;
+  const int function = switches ? switches_.which() - branches_.count() : -1;
+  if (function < 0) return;
   const ContactModes::Ending ending = modes_.ending(function);
-  const int number = static_cast<int>(ending.contact), contacts = static_cast<int>(contact_step_.contacts().size());
-  if (ending.end == ContactModes::End::kStick) return number;
-  return ending.end == ContactModes::End::kJointSticks ? contacts + number : -1;
+  const bool of_joint = ending.end == ContactModes::End::kJointSlips || ending.end == ContactModes::End::kJointSticks;
+  record.ended = static_cast<int>(ending.contact + (of_joint ? record.contacts.size() : 0));
+  switch (ending.end) {
+    case ContactModes::End::kRelease:
+      record.ending = HeldStepEnd::kRelease;
+      break;
+    case ContactModes::End::kSlip:
+    case ContactModes::End::kJointSlips:
+      record.ending = HeldStepEnd::kSlip;
+      break;
+    case ContactModes::End::kStick:
+    case ContactModes::End::kJointSticks:
+      record.ending = HeldStepEnd::kRest;
+      break;
+  }
 }
 
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.

@@ -436,10 +436,10 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (holds) {
     if (sinks_deeper(recording, at + h)) return reject();
     if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
-    if (keeps_held_steps()) keep_held_step(switches ? what_rests() : -1);
+    if (keeps_held_steps()) keep_held_step(switches);
     modes_.commit(at, state_.step, options_.record_contacts, recording);
   } else if (keeps_held_steps()) {
-    keep_held_step(-1);
+    keep_held_step(false);
   }
   state_.work.add(work);
   control.flew(options_.dt);
@@ -487,7 +487,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const double at = interval.start + interval.done, before = event.alpha * h;
   const bool holds = modes_.active();
   if (before > 0.0) {
-    if (keeps_held_steps()) keep_held_step(-1);
+    if (keeps_held_steps()) keep_held_step(false);
     if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();

@@ -5,7 +5,13 @@
 namespace contactvi {
 
 ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
-    : scene_(&scene), run_(&run), adjoint_(scene), take_branch_(take_branch), release_(scene, run) {}
+    
+    : scene_(&scene),
+      run_(&run),
+      masses_(scene.tree, 1, 1e-12, 1),
+      adjoint_(scene),
+      take_branch_(take_branch),
+      force_(scene, run) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();
@@ -14,6 +20,7 @@ void ContactPieceAdjoint::start() {
 
 void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   if (piece.held == nullptr) check_contact_piece(*run_, piece);
+  piece_ = &piece;
   step_ = piece.contact;
   dense_step_ = piece.dense;
   held_piece_ = piece.held != nullptr ? &piece : nullptr;
@@ -22,6 +29,7 @@ void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   if (held_piece_ != nullptr) {
     if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points, take_branch_);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
+    force_ends_ = ends_by_force(*run_, piece, held_->tangent(), inputs, masses_, force_);
     return;
   }
   if (dense_step_ != nullptr) {
@@ -123,9 +131,10 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, double lenergy
   }
   if (held_piece_ != nullptr) return pass_held(lq, lp, ltime, result);
   const ContactStepRecord& s = *step_;
-  const bool ends_itself = s.ending != ContactStepEnd::kLength;
+  const bool ends_itself = s.ending != ContactStepEnd::kLength, releases = s.ending == ContactStepEnd::kRelease;
   double lslip = 0.0;
-  if (ends_itself && s.ending != ContactStepEnd::kImpact) lslip = pass_end(lq, lp, ltime, result);
+  if (releases) force_.take(release_of(s), inputs_->tau(), inputs_->servo());
+  if (ends_itself && s.ending != ContactStepEnd::kImpact) lslip = pass_end(releases, lq, lp, ltime, result);
   result.begin_step();
   if (!adjoint_.solve(lq, lp, lslip, gradient_, result.parameters))
     throw NoDerivative({"step", -1, s.t}, "The derivative of a step was not solved",
@@ -165,16 +174,8 @@ void ContactPieceAdjoint::pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradi
 }
 
 void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
-  const bool rests = held_piece_->held->ends_itself();
   double lslip = 0.0;
-  if (rests) {
-    VecX fq(lq.size()), fp(lq.size());
-    solve_length(fq, fp);
-    const double rate = held_->tangent().slip_change();
-    check_rest(rate, held_piece_->t + held_piece_->h);
-    lslip = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;
-    ltime = 0.0;
-  }
+  if (held_piece_->ends_itself() || force_ends_) lslip = pass_end(force_ends_, lq, lp, ltime, result);
   result.begin_step();
   if (!held_->solve(lq, lp, lslip, gradient_, result.parameters))
     throw NoDerivative({"step", -1, held_piece_->t}, "The derivative of a step was not solved",
@@ -193,37 +194,33 @@ void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradie
       lq += held_->tangent().start_place_change(i).transpose() * gradient;
     }
   }
-  const double later = held_piece_->end == PieceEnd::kLength ? ltime : -gradient_.h;
+  const double later = held_piece_->end == PieceEnd::kLength && !force_ends_ ? ltime : -gradient_.h;
   ltime = gradient_.t + later;
   inputs_->mask(gradient_.tau);
   result.end_step(number_, gradient_.tau);
 }
 
 // A slip that comes to rest, or a force that comes to zero: the gradient in that slip.
-double ContactPieceAdjoint::pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
-  const ContactStepRecord& s = *step_;
+double ContactPieceAdjoint::pass_end(bool by_force, VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
   VecX fq(lq.size()), fp(lq.size());
   solve_length(fq, fp);
-  const bool releases = s.ending == ContactStepEnd::kRelease;
-  double rate = adjoint_.tangent().slip_change();
-  if (releases) {
-    release_.take(s, inputs_->tau(), inputs_->servo());
-    rate = release_.rate(fq, fp);
-  }
-  check_contact_end(s, rate);
+  const double rate = by_force                  ? force_.rate(fq, fp)
+                      : held_piece_ != nullptr ? held_->tangent().slip_change()
+                                                : adjoint_.tangent().slip_change();
+  check_end_rate(*piece_, by_force, rate);
   const double gradient = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;
   ltime = 0.0;
-  if (!releases) return gradient;
-  pass_release(gradient, lq, lp, result);
+  if (!by_force) return gradient;
+  pass_force(gradient, lq, lp, result);
   return 0.0;
 }
 
-void ContactPieceAdjoint::pass_release(double lforce, VecX& lq, VecX& lp, RunGradient& result) {
-  const ContactStepRecord& s = *step_;
-  const Eigen::Index n = lq.size(), contacts = static_cast<Eigen::Index>(s.contacts.size());
+void ContactPieceAdjoint::pass_force(double lforce, VecX& lq, VecX& lp, RunGradient& result) {
+  const std::vector<PhaseEnd::Contact>& contacts = force_.end().contacts;
+  const Eigen::Index n = lq.size(), count = static_cast<Eigen::Index>(contacts.size());
   const VecX none = VecX::Zero(n), empty;
   const auto along = [&](const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
-    return lforce * release_.change(dq, dp, dtau, dmu);
+    return lforce * force_.change(dq, dp, dtau, dmu);
   };
   VecX momentum(n), force(n);
   for (Eigen::Index k = 0; k < n; ++k) {
@@ -234,11 +231,12 @@ void ContactPieceAdjoint::pass_release(double lforce, VecX& lq, VecX& lp, RunGra
   }
   lp += momentum;
   result.begin_step();
-  release_.add_parameters(momentum, force, result.parameters);
+  force_.add_parameters(momentum, force, result.parameters);
+  if (held_piece_ != nullptr) inputs_->mask(force);
   result.end_step(number_, force);
-  for (Eigen::Index i = 0; i < contacts; ++i) {
-    const PersistentContact& before = s.contacts[i].before;
-    if (before.mu > 0.0) result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(contacts, i));
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const PersistentContact& before = contacts[static_cast<std::size_t>(i)].before;
+    if (before.mu > 0.0) result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(count, i));
   }
 }
 

@@ -7,9 +7,10 @@ namespace contactvi {
 ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
+      masses_(scene.tree, 1, 1e-12, 1),
       tangent_(scene),
       take_branch_(take_branch),
-      release_(scene, run),
+      force_(scene, run),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 
 void ContactPieces::start(Eigen::Index count) {
@@ -37,6 +38,7 @@ void refuse_sticking_start(const ContactPoint& point, double time) {
 
 void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   if (piece.held == nullptr) check_contact_piece(*run_, piece);
+  piece_ = &piece;
   step_ = piece.contact;
   dense_step_ = piece.dense;
   held_piece_ = piece.held != nullptr ? &piece : nullptr;
@@ -46,6 +48,7 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
     for (const PersistentContact& c : piece.held->contacts)
       if (c.anchored && anchor_of(c.point) == nullptr) refuse_sticking_start(c.point, piece.t);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
+    force_ends_ = ends_by_force(*run_, piece, *held_, inputs, masses_, force_);
     return;
   }
   if (dense_step_ != nullptr) {
@@ -107,7 +110,10 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     if (energies) energies_[k] = tangent_.energy_change_before();
     if (!ends_itself) columns.time[k] += direction_.h;
   }
-  if (ends_itself && step_->ending != ContactStepEnd::kImpact) end(d, columns);
+  if (!ends_itself || step_->ending == ContactStepEnd::kImpact) return;
+  const bool releases = step_->ending == ContactStepEnd::kRelease;
+  if (releases) force_.take(release_of(*step_), inputs_->tau(), inputs_->servo());
+  end(releases, d, columns);
 }
 
 void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
@@ -157,18 +163,14 @@ void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
     direction.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
     inputs_->mask(direction.tau);
     direction.t = columns.time[k];
-    direction.h = held_piece_->end == PieceEnd::kLength ? 0.0 : -columns.time[k];
+    direction.h = held_piece_->end == PieceEnd::kLength && !force_ends_ ? 0.0 : -columns.time[k];
     direction.mu = friction_change(d, k);
     direction.parameters = d.parameter(k);
     held_->solve(direction, columns.q.col(k), columns.p.col(k));
     slip_[k] = held_->slip_change();
     if (held_piece_->end == PieceEnd::kTime) columns.time[k] = 0.0;
   }
-  if (!held_piece_->held->ends_itself()) return;
-  VecX fq(columns.q.rows()), fp(columns.q.rows());
-  solve_length(fq, fp);
-  check_rest(held_->slip_change(), held_piece_->t + held_piece_->h);
-  columns.move_on(slip_ / -held_->slip_change(), fq, fp);
+  if (held_piece_->ends_itself() || force_ends_) end(force_ends_, d, columns);
 }
 
 // What sticks from a held step on: where it stuck before, or as it is at the start of the step, where columns are.
@@ -198,36 +200,39 @@ VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column)
   return dmu;
 }
 
-namespace {
-void check_end(const char* reason, double rate, double time) {
+void check_end_rate(const Piece& piece, bool by_force, double rate) {
   if (std::abs(rate) > 0.0) return;
-  throw NoDerivative({reason, -1, time}, "The end of a contact is grazing", "a slip or a force that falls to zero",
-                     "one that stays", "Start elsewhere");
+  throw NoDerivative({by_force ? "release" : "stick", -1, piece.t + piece.h}, "The end of a contact is grazing",
+                     "a slip or a force that falls to zero", "one that stays", "Start elsewhere");
 }
-}  // namespace
 
-void check_rest(double rate, double time) { check_end("stick", rate, time); }
-
-void check_contact_end(const ContactStepRecord& step, double rate) {
-  check_end(step.ending == ContactStepEnd::kRelease ? "release" : "stick", rate, step.t + step.h);
+bool ends_by_force(const RecordedRun& run, const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs,
+                   Integrator& masses, EndForce& force) {
+  const HeldStepEnd ending = piece.held->ending;
+  if (piece.end != PieceEnd::kLength || (ending != HeldStepEnd::kRelease && ending != HeldStepEnd::kSlip)) return false;
+  try {
+    check_forces_in_time(force.scene().tree, run, masses, piece);
+    force.take(step.phase_end(run.dt), inputs.tau(), inputs.servo());
+  } catch (const NoDerivative&) {
+    return false;
+  }
+  return true;
 }
 
 // The end of a piece where a contact changes without an impact: a slip comes to rest, or a force to zero.
-void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
-  const bool releases = step_->ending == ContactStepEnd::kRelease;
+void ContactPieces::end(bool by_force, const RunDirections& d, RunColumns& columns) {
   VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
   solve_length(fq, fp);
-  double rate = tangent_.slip_change();
-  if (releases) {
-    release_.take(*step_, inputs_->tau(), inputs_->servo());
-    rate = release_.rate(fq, fp);
-  }
-  check_contact_end(*step_, rate);
+  const double rate = by_force                  ? force_.rate(fq, fp)
+                      : held_piece_ != nullptr ? held_->slip_change()
+                                                : tangent_.slip_change();
+  check_end_rate(*piece_, by_force, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {
-    const VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    if (held_piece_ != nullptr) inputs_->mask(tau);
     double change = slip_[k];
-    if (releases) change = release_.change(columns.q.col(k), columns.p.col(k), tau, friction_change(d, k));
-    if (releases && d.parameter(k) != nullptr) change += release_.change(*d.parameter(k));
+    if (by_force) change = force_.change(columns.q.col(k), columns.p.col(k), tau, friction_change(d, k));
+    if (by_force && d.parameter(k) != nullptr) change += force_.change(*d.parameter(k));
     later[k] = -change / rate;
   }
   columns.move_on(later, fq, fp);

@@ -269,7 +269,8 @@ void held_fields(Archive& a, Step& s) {
   for (auto& c : s.contacts) persistent_fields(a, c);
   a.list_size(s.joints);
   for (auto& joint : s.joints) friction_joint_fields(a, joint);
-  a.whole(s.rests);
+  a.whole(s.ending);
+  a.whole(s.ended);
 }
 
 bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
@@ -407,6 +408,21 @@ class DenseCheck {
   const DenseStepRecord& s_;
 };
 
+// Whether what ended the step did before it what ends there.
+bool end_fits(const HeldStepRecord& s) {
+  const std::size_t contacts = s.contacts.size();
+  if (s.ending == HeldStepEnd::kGiven) return s.ended == -1;
+  if (!within(s.ended, contacts + s.joints.size())) return false;
+  const auto number = static_cast<std::size_t>(s.ended);
+  if (number >= contacts) {
+    const bool slips = s.ending == HeldStepEnd::kSlip, rests = s.ending == HeldStepEnd::kRest;
+    return s.joints[number - contacts].sticks ? slips : rests;
+  }
+  const PersistentContact& c = s.contacts[number];
+  if (s.ending == HeldStepEnd::kRest) return c.slides();
+  return s.ending == HeldStepEnd::kRelease || (s.ending == HeldStepEnd::kSlip && c.mu > 0.0 && c.sticks);
+}
+
 bool belongs(const Scene& scene, const HeldStepRecord& s) {
   const Tree& tree = scene.tree;
   const Eigen::Index stages = s.rates.cols();
@@ -422,7 +438,7 @@ bool belongs(const Scene& scene, const HeldStepRecord& s) {
     if (!(joint.limit >= 0.0)) return false;
     rows += joint.sticks ? 1 : 0;
   }
-  if (s.rests < -1 || s.rests >= static_cast<int>(s.contacts.size() + s.joints.size())) return false;
+  if (!end_fits(s)) return false;
   return s.h > 0.0 && s.q0.size() == tree.nq && s.p0.size() == tree.nv && s.v1.size() == tree.nv &&
          s.rates.rows() == tree.nv && stages >= 1 && stages <= kMaxStages && s.lambda.cols() == stages + 1 &&
          s.lambda.rows() == rows && s.angles.rows() == slides && (slides == 0 || s.angles.cols() == stages + 1);

@@ -57,13 +57,13 @@ void HeldStepAdjoint::pass_end(const VecX& lend, const VecX& mu, StepParameters&
   lq = lend.head(t.nv_);
   lp = lend.segment(t.nv_, t.nv_);
   VecX lv = VecX::Zero(t.nv_);
-  if (s.ends_itself()) {
+  if (s.ending == HeldStepEnd::kRest) {
     const auto contacts = static_cast<int>(s.contacts.size());
-    if (s.rests >= contacts) {
-      const FrictionJoint& joint = s.joints[static_cast<std::size_t>(s.rests - contacts)];
+    if (s.ended >= contacts) {
+      const FrictionJoint& joint = s.joints[static_cast<std::size_t>(s.ended - contacts)];
       lv[joint.dof] += joint.heading * lslip;
     } else {
-      const int j = t.phase_.slide(static_cast<std::size_t>(s.rests));
+      const int j = t.phase_.slide(static_cast<std::size_t>(s.ended));
       lv += lslip * end.along().col(j);
       lq += lslip * t.end_along_.row(j).transpose();
     }

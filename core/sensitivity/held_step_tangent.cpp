@@ -198,6 +198,23 @@ void HeldStepTangent::take_slips() {
   }
 }
 
+PhaseEnd HeldStepTangent::phase_end(double nominal) {
+  const HeldStepRecord& s = *record_;
+  const VecX& q1 = nodes_.back().configuration();
+  VecX p1(nv_), force(nv_);
+  masses_.dynamics(q1, s.v1, p1, force);
+  PhaseEnd end{s.t + s.h, nominal, q1, p1, s.v1, fixed_, {}, {}, s.ended, s.ending == HeldStepEnd::kRelease};
+  for (const FrictionJoint& joint : s.joints) end.joints.push_back({joint.dof, joint.limit});
+  end.rows += static_cast<int>(s.joints.size());
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const PersistentRows::Site& site = phase_.site(stages_, i);
+    end.contacts.push_back({s.contacts[i], site.t1, site.contact.normal, s.contacts[i].slides(), end.rows});
+    end.rows += s.contacts[i].rows();
+  }
+  masses_.place_node(q1);
+  return end;
+}
+
 VecX HeldStepTangent::friction_changes(const ContactStepDirection& d) const {
   VecX found = VecX::Zero(slides_);
   for (int j = 0; j < slides_ && d.mu.size() > 0; ++j)
@@ -328,16 +345,16 @@ bool HeldStepTangent::add_end_impulse(const ContactStepDirection& d, const VecX&
   dp += node.given() * impulses;
   end.segment(nv_, nv_) = dp;
   end[2 * nv_] = 0.0;
-  if (slides_ == 0 && !s.ends_itself()) return agree;
+  if (slides_ == 0 && s.ending != HeldStepEnd::kRest) return agree;
   dv1 = dp - heavier;
   masses_.solve_mass(dv1);
-  if (!s.ends_itself()) return agree;
+  if (s.ending != HeldStepEnd::kRest) return agree;
   const auto contacts = static_cast<int>(s.contacts.size());
-  if (s.rests >= contacts) {
-    const FrictionJoint& joint = s.joints[static_cast<std::size_t>(s.rests - contacts)];
+  if (s.ended >= contacts) {
+    const FrictionJoint& joint = s.joints[static_cast<std::size_t>(s.ended - contacts)];
     end[2 * nv_] = joint.heading * dv1[joint.dof];
   } else {
-    const int j = phase_.slide(static_cast<std::size_t>(s.rests));
+    const int j = phase_.slide(static_cast<std::size_t>(s.ended));
     end[2 * nv_] = node.along().col(j).dot(dv1) + end_along_.row(j).dot(dq);
   }
   return agree;

@@ -22,6 +22,7 @@
 
 #include "contact/held_step_record.hpp"
 #include "sensitivity/contact_step_tangent.hpp"
+#include "sensitivity/end_force.hpp"
 #include "sensitivity/held_node.hpp"
 #include "sensitivity/slip_start.hpp"
 #include "step/raised_nodes.hpp"
@@ -41,6 +42,8 @@ class HeldStepTangent {
   void solve(const ContactStepDirection& direction, VecRef dq1, VecRef dp1);
   // Of the last direction: that of the slip whose end ended the step [m/s; rad/s].
   double slip_change() const { return slip_change_; }
+  // Its end, which a force ends; nominal: length of a nominal step [s].
+  PhaseEnd phase_end(double nominal);
   // Of a contact's material point: the derivative, by q0, of its place in the frame of the plane's body, (3, nv).
   MatX start_place_change(std::size_t contact) { return nodes_[0].place_change(record_->contacts[contact].point); }
 

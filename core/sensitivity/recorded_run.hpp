@@ -35,7 +35,7 @@ struct Piece {
   bool has_rows() const { return persistent || held != nullptr; }
 
   bool ends_itself() const {
-    return held != nullptr ? held->ends_itself() : contact != nullptr && contact->ending != ContactStepEnd::kLength;
+    return held != nullptr ? held->ending == HeldStepEnd::kRest : contact != nullptr && contact->ending != ContactStepEnd::kLength;
   }
 };
 
