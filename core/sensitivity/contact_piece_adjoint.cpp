@@ -205,7 +205,7 @@ double ContactPieceAdjoint::pass_end(bool by_force, VecX& lq, VecX& lp, double& 
   VecX fq(lq.size()), fp(lq.size());
   solve_length(fq, fp);
   const double rate = by_force                  ? force_.rate(fq, fp)
-                      : held_piece_ != nullptr ? held_->tangent().slip_change()
+                      : held_piece_ != nullptr ? held_->tangent().slip_changes()[0]
                                                 : adjoint_.tangent().slip_change();
   check_end_rate(*piece_, by_force, rate);
   const double gradient = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;

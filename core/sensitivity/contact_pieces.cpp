@@ -146,6 +146,7 @@ void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
 void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
   energies_.setZero(d.count);
   slip_.setZero(d.count);
+  std::vector<VecX> slips, sizes;
   size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
   size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
   held_anchors_ = held_anchors(columns);
@@ -167,10 +168,31 @@ void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
     direction.mu = friction_change(d, k);
     direction.parameters = d.parameter(k);
     held_->solve(direction, columns.q.col(k), columns.p.col(k));
-    slip_[k] = held_->slip_change();
+    slips.push_back(held_->slip_changes());
+    sizes.push_back(held_->slip_sizes());
     if (held_piece_->end == PieceEnd::kTime) columns.time[k] = 0.0;
   }
+  if (held_piece_->ends_itself()) check_rests(slips, sizes);
   if (held_piece_->ends_itself() || force_ends_) end(force_ends_, d, columns);
+}
+
+// Slips that come to rest at one instant do so along every direction, or there is a kink. Of each column: the changes of
+// these slips, and the sizes of their terms.
+void ContactPieces::check_rests(const std::vector<VecX>& slips, const std::vector<VecX>& sizes) {
+  VecX fq(held_piece_->p.size()), fp(held_piece_->p.size());
+  solve_length(fq, fp);
+  const VecX rates = held_->slip_changes();
+  for (std::size_t k = 0; k < slips.size(); ++k) {
+    const auto column = static_cast<Eigen::Index>(k);
+    slip_[column] = slips[k][0];
+    if (rates[0] == 0.0) continue;
+    const VecX left = slips[k] - rates * (slips[k][0] / rates[0]);
+    if (take_branch_ || (left.cwiseAbs().array() <= kTogether * sizes[k].array()).all()) continue;
+    throw NoDerivative({"stick", -1, held_piece_->t + held_piece_->h}, "Several slips come to rest at one instant",
+                       "one slip that comes to rest, or several that all directions bring to rest together",
+                       "slips that a direction brings to rest one after the other",
+                       "Start elsewhere; on_kink='taken' gives the derivative of what was taken");
+  }
 }
 
 // What sticks from a held step on: where it stuck before, or as it is at the start of the step, where columns are.
@@ -224,7 +246,7 @@ void ContactPieces::end(bool by_force, const RunDirections& d, RunColumns& colum
   VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
   solve_length(fq, fp);
   const double rate = by_force                  ? force_.rate(fq, fp)
-                      : held_piece_ != nullptr ? held_->slip_change()
+                      : held_piece_ != nullptr ? held_->slip_changes()[0]
                                                 : tangent_.slip_change();
   check_end_rate(*piece_, by_force, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {

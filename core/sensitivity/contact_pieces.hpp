@@ -6,6 +6,7 @@
 
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/dense_step_tangent.hpp"
+#include "sensitivity/event_hit.hpp"
 #include "sensitivity/held_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/end_force.hpp"
@@ -63,6 +64,7 @@ class ContactPieces {
 
   std::vector<Anchor> held_anchors(const RunColumns& columns) const;
   const Anchor* anchor_of(const ContactPoint& point) const;
+  void check_rests(const std::vector<VecX>& slips, const std::vector<VecX>& sizes);
   void end(bool by_force, const RunDirections& directions, RunColumns& columns);
   void move_dense(const RunDirections& directions, RunColumns& columns);
   void move_held(const RunDirections& directions, RunColumns& columns);

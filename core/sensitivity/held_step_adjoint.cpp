@@ -28,7 +28,7 @@ void HeldStepAdjoint::take(const HeldStepRecord& step, const VecX& tau, const Se
 template <class Entry>
 HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, ContactStepDirection& direction, Entry entry) {
   HeldStepTangent& t = tangent_;
-  Columns found{MatX(t.unknowns(), count), MatX(2 * t.nv_ + 1, count)};
+  Columns found{MatX(t.unknowns(), count), MatX(t.end_size(), count)};
   const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
   for (int k = 0; k < count; ++k) {
     entry(k) = 1.0;
@@ -40,7 +40,7 @@ HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, ContactStepDirectio
 
 HeldStepAdjoint::Columns HeldStepAdjoint::turn_columns() {
   HeldStepTangent& t = tangent_;
-  Columns found{MatX(t.unknowns(), t.slides_), MatX(2 * t.nv_ + 1, t.slides_)};
+  Columns found{MatX(t.unknowns(), t.slides_), MatX(t.end_size(), t.slides_)};
   const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
   const ContactStepDirection nothing;
   for (int j = 0; j < t.slides_; ++j)
@@ -53,21 +53,10 @@ void HeldStepAdjoint::pass_end(const VecX& lend, const VecX& mu, StepParameters&
   HeldStepTangent& t = tangent_;
   const HeldStepRecord& s = *t.record_;
   const HeldNode& end = t.nodes_.back();
-  const double lslip = lend[2 * t.nv_];
-  lq = lend.head(t.nv_);
+  const VecX lslips = lend.tail(t.rest_speeds_.cols());
+  lq = lend.head(t.nv_) + t.rest_changes_.transpose() * lslips;
   lp = lend.segment(t.nv_, t.nv_);
-  VecX lv = VecX::Zero(t.nv_);
-  if (s.ending == HeldStepEnd::kRest) {
-    const auto contacts = static_cast<int>(s.contacts.size());
-    if (s.ended >= contacts) {
-      const FrictionJoint& joint = s.joints[static_cast<std::size_t>(s.ended - contacts)];
-      lv[joint.dof] += joint.heading * lslip;
-    } else {
-      const int j = t.phase_.slide(static_cast<std::size_t>(s.ended));
-      lv += lslip * end.along().col(j);
-      lq += lslip * t.end_along_.row(j).transpose();
-    }
-  }
+  VecX lv = t.rest_speeds_ * lslips;
   if (t.turns() > 0) {
     const VecX lrate = t.slips_by_rate(t.raised_.rate_by_end, t.raised_.moved_by_end).transpose() * mu.tail(t.turns());
     lv += end.chart().rate_transposed(lrate);
@@ -95,8 +84,9 @@ bool HeldStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Contac
                             StepParameters& sums) {
   constexpr int kPasses = 3;  // the first solves, the others take the rounding off
   const HeldStepTangent& t = tangent_;
-  VecX lend(2 * t.nv_ + 1), lq_before, lp_before;
-  lend << lq, lp, lslip;
+  VecX lend = VecX::Zero(t.end_size()), lq_before, lp_before;
+  lend.head(2 * t.nv_) << lq, lp;
+  if (t.rest_speeds_.cols() > 0) lend[2 * t.nv_] = lslip;
   const VecX by_unknowns = t.ends_.transpose() * lend;
   VecX mu = t.solve_transposed(by_unknowns);
   for (int pass = 1; pass < kPasses; ++pass) mu += t.solve_transposed(by_unknowns + t.matrix_.transpose() * mu);

@@ -170,6 +170,50 @@ void HeldStepTangent::take_end() {
   MatX A = end.watched().transpose() * MinvF_;
   A.bottomRightCorner(slides_, slides_).diagonal() -= end.along().transpose() * s.v1;
   end_system_.compute(std::move(A), fixed_, slides_);
+  if (s.ending == HeldStepEnd::kRest) {
+    take_rests();
+  } else {
+    rest_speeds_.resize(nv_, 0);
+    MinvR_.resize(nv_, 0);
+    rest_changes_.resize(0, nv_);
+  }
+}
+
+// What comes to rest at the end: first what ended the step, then what does so with it.
+void HeldStepTangent::take_rests() {
+  const HeldStepRecord& s = *record_;
+  const HeldNode& end = nodes_.back();
+  const auto contacts = static_cast<int>(s.contacts.size()), all = contacts + static_cast<int>(s.joints.size());
+  const double still = kStill * (1.0 + s.v1.cwiseAbs().maxCoeff());
+  std::vector<VecX> speeds, changes;
+  const auto add = [&](int number, bool checked) {
+    VecX speed = none_, change = none_;
+    if (number >= contacts) {
+      const FrictionJoint& joint = s.joints[static_cast<std::size_t>(number - contacts)];
+      if (joint.sticks) return;
+      speed[joint.dof] = joint.heading;
+    } else {
+      const int j = phase_.slide(static_cast<std::size_t>(number));
+      if (j < 0) return;
+      speed = end.along().col(j);
+      change = end_along_.row(j).transpose();
+    }
+    if (checked && !(std::abs(speed.dot(s.v1)) <= still)) return;
+    speeds.push_back(std::move(speed));
+    changes.push_back(std::move(change));
+  };
+  add(s.ended, false);
+  for (int number = 0; number < all; ++number)
+    if (number != s.ended) add(number, true);
+  const auto count = static_cast<Eigen::Index>(speeds.size());
+  rest_speeds_.resize(nv_, count);
+  rest_changes_.resize(count, nv_);
+  for (Eigen::Index k = 0; k < count; ++k) {
+    rest_speeds_.col(k) = speeds[static_cast<std::size_t>(k)];
+    rest_changes_.row(k) = changes[static_cast<std::size_t>(k)].transpose();
+  }
+  MinvR_ = rest_speeds_;
+  masses_.solve_masses(MinvR_);
 }
 
 // The slips at the nodes between both ends.
@@ -344,19 +388,10 @@ bool HeldStepTangent::add_end_impulse(const ContactStepDirection& d, const VecX&
   const bool agree = end_system_.solve(faster, size, impulses);
   dp += node.given() * impulses;
   end.segment(nv_, nv_) = dp;
-  end[2 * nv_] = 0.0;
-  if (slides_ == 0 && s.ending != HeldStepEnd::kRest) return agree;
+  if (slides_ == 0 && rest_speeds_.cols() == 0) return agree;
   dv1 = dp - heavier;
   masses_.solve_mass(dv1);
-  if (s.ending != HeldStepEnd::kRest) return agree;
-  const auto contacts = static_cast<int>(s.contacts.size());
-  if (s.ended >= contacts) {
-    const FrictionJoint& joint = s.joints[static_cast<std::size_t>(s.ended - contacts)];
-    end[2 * nv_] = joint.heading * dv1[joint.dof];
-  } else {
-    const int j = phase_.slide(static_cast<std::size_t>(s.ended));
-    end[2 * nv_] = node.along().col(j).dot(dv1) + end_along_.row(j).dot(dq);
-  }
+  end.tail(rest_speeds_.cols()) = rest_speeds_.transpose() * dv1 + rest_changes_ * dq;
   return agree;
 }
 
@@ -420,7 +455,7 @@ void HeldStepTangent::make_matrix() {
   const int count = unknowns(), own = stage_unknowns(), held = count - own;
   const VecX start = VecX::Zero(slides_), none = VecX::Zero(rows_ + slides_);
   matrix_.resize(count, count);
-  ends_.resize(2 * nv_ + 1, count);
+  ends_.resize(end_size(), count);
   VecX x = VecX::Zero(count);
   for (int k = 0; k < count; ++k) {
     x[k] = 1.0;
@@ -471,19 +506,18 @@ VecX HeldStepTangent::start_sizes(const ContactStepDirection& d) const {
   return VecX::Constant(nv_, q / record_->h) + p * inverse_start_.cwiseAbs().rowwise().sum();
 }
 
-// Of the terms of the speeds that are zero at the end.
-VecX HeldStepTangent::speed_sizes(const ContactStepDirection& d) const {
+// Of the terms of speeds with gradients C at the end.
+VecX HeldStepTangent::speed_sizes(const ContactStepDirection& d, const MatX& C, const MatX& MinvC) const {
   const double q = std::max(d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0);
   const double p = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
-  const MatX& C = nodes_.back().watched();
-  return (q / record_->h * C.cwiseAbs() + p * MinvC_.cwiseAbs()).colwise().sum().transpose();
+  return (q / record_->h * C.cwiseAbs() + p * MinvC.cwiseAbs()).colwise().sum().transpose();
 }
 
 void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp1) {
   check_start(d);
   const int own = stage_unknowns();
-  VecX x = VecX::Zero(unknowns()), off(unknowns()), end(2 * nv_ + 1);
-  const VecX size = speed_sizes(d), none = VecX::Zero(unknowns() - own), start = start_turns(d);
+  VecX x = VecX::Zero(unknowns()), off(unknowns()), end(end_size());
+  const VecX size = speed_sizes(d, nodes_.back().watched(), MinvC_), none = VecX::Zero(unknowns() - own), start = start_turns(d);
   VecX sizes(unknowns());
   for (int k = 0; k < stages_; ++k) {
     set_node(sizes, k, record_->h * size.head(rows_));
@@ -502,7 +536,8 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
            "Start with the bodies apart, or in touch at one point");
   dq1 = end.head(nv_);
   dp1 = end.segment(nv_, nv_);
-  slip_change_ = end[2 * nv_];
+  slip_changes_ = end.tail(rest_speeds_.cols());
+  slip_sizes_ = speed_sizes(d, rest_speeds_, MinvR_);
 }
 
 }  // namespace contactvi

@@ -40,8 +40,10 @@ class HeldStepTangent {
   void take(const HeldStepRecord& step, const VecX& tau, const Servo* servo);
   // The derivative of (q1, p1), (nv,) each.
   void solve(const ContactStepDirection& direction, VecRef dq1, VecRef dp1);
-  // Of the last direction: that of the slip whose end ended the step [m/s; rad/s].
-  double slip_change() const { return slip_change_; }
+  // Of the last direction: those of the slips that come to rest at the end, the first of which ended the step [m/s;
+  // rad/s]; and the sizes of their terms.
+  const VecX& slip_changes() const { return slip_changes_; }
+  const VecX& slip_sizes() const { return slip_sizes_; }
   // Its end, which a force ends; nominal: length of a nominal step [s].
   PhaseEnd phase_end(double nominal);
   // Of a contact's material point: the derivative, by q0, of its place in the frame of the plane's body, (3, nv).
@@ -58,19 +60,21 @@ class HeldStepTangent {
   void give_impulses();
   void take_start(const VecX& tau, const Servo* servo);
   void take_end();
+  void take_rests();
   void take_slips();
   void make_matrix();
   int stage_unknowns() const { return nv_ * stages_; }
   int turns() const { return slides_ * (stages_ - 1); }
   int unknowns() const { return stage_unknowns() + rows_ * stages_ + turns(); }
   int held() const { return rows_ - fixed_; }
+  Eigen::Index end_size() const { return 2 * nv_ + rest_speeds_.cols(); }
   int turns_at(int node) const { return stage_unknowns() + rows_ * stages_ + (node - 1) * slides_; }
   // The impulses of a node among the unknowns x, with the directions there, (rows + slides,); start: those of the first.
   VecX of_node(const VecX& x, int node, const VecX& start) const;
   // The equations of the rows at the node after it: (rows,).
   void set_node(VecRef x, int node, const VecX& values) const;
   VecX start_sizes(const ContactStepDirection& direction) const;
-  VecX speed_sizes(const ContactStepDirection& direction) const;
+  VecX speed_sizes(const ContactStepDirection& direction, const MatX& C, const MatX& MinvC) const;
   VecX anchor_changes(const ContactStepDirection& direction, const VecX& start) const;
   VecX friction_changes(const ContactStepDirection& direction) const;
   VecX force_change(int node, const ContactStepDirection& direction, const VecX& dq, const VecX& impulses) const;
@@ -78,7 +82,7 @@ class HeldStepTangent {
   VecX start_velocity_change(const ContactStepDirection& direction);
   VecX start_turns(const ContactStepDirection& direction);
   // Along a direction and with changes x of the unknowns, (unknowns,): what the equations are off by, and what the end
-  // (q1, p1) changes by, with the slip that ended the step, (2 nv + 1,). start: changes of the directions there. False
+  // (q1, p1) changes by, with the slips that come to rest there, (end_size,). start: changes of the directions there. False
   // where the impulse at the end does not exist; size: of the terms of its equations.
   bool assess(const ContactStepDirection& direction, const VecX& x, const VecX& start, const VecX& size, VecRef off,
               VecRef end);
@@ -125,17 +129,20 @@ class HeldStepTangent {
   // impulse and the directions.
   MatX end_mass_change_, end_watched_, end_along_, MinvF_, MinvC_;
   SharedLoad end_system_;
+  // Of the slips that come to rest there: gradients by the velocity, (nv, count), with M^-1 of these, and by the
+  // configuration, (count, nv).
+  MatX rest_speeds_, rest_changes_, MinvR_;
   // At the nodes between, of the path raised: charts, rates, displacements, changes of the slips across, slips along.
   VecX end_rate_;
   std::vector<NodeChart> raised_charts_;
   MatX raised_rates_, raised_X_, node_slips_;
   std::vector<MatX> node_watched_;
-  // The matrix, and what a unit of each unknown changes the end by, (2 nv + 1, unknowns).
+  // The matrix, and what a unit of each unknown changes the end by, (end_size, unknowns).
   MatX matrix_, ends_;
   Eigen::PartialPivLU<MatX> stage_factor_;
   MatX answers_;  // A^-1 B
   SharedLoad row_system_;
-  double slip_change_ = 0.0;
+  VecX slip_changes_, slip_sizes_;
   VecX none_;
 };
 
