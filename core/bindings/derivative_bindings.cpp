@@ -87,7 +87,7 @@ std::variant<LinearArrays, Dict> linear_contact_step(const Scene& s, const VecX&
   try {
     const StepInputs inputs = inputs_of(s.tree, t, tau, target);
     const LinearStep step = order > 2 ? linearize_held_step(s, q, x, kind, h, inputs, order / 2, tol)
-                                 : linearize_contact_step(s, q, x, kind, h, inputs);
+                                      : linearize_contact_step(s, q, x, kind, h, inputs);
     UserErrors::raise();
     return LinearArrays{step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
   } catch (const NoDerivative& reason) {

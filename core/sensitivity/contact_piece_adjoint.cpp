@@ -5,7 +5,7 @@
 namespace contactvi {
 
 ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
-    
+
     : scene_(&scene),
       run_(&run),
       masses_(scene.tree, 1, 1e-12, 1),
@@ -204,9 +204,9 @@ void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradie
 double ContactPieceAdjoint::pass_end(bool by_force, VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
   VecX fq(lq.size()), fp(lq.size());
   solve_length(fq, fp);
-  const double rate = by_force                  ? force_.rate(fq, fp)
+  const double rate = by_force                 ? force_.rate(fq, fp)
                       : held_piece_ != nullptr ? held_->tangent().slip_changes()[0]
-                                                : adjoint_.tangent().slip_change();
+                                               : adjoint_.tangent().slip_change();
   check_end_rate(*piece_, by_force, rate);
   const double gradient = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;
   ltime = 0.0;

@@ -6,9 +6,9 @@
 
 #include "sensitivity/contact_step_adjoint.hpp"
 #include "sensitivity/dense_step_adjoint.hpp"
+#include "sensitivity/end_force.hpp"
 #include "sensitivity/held_step_adjoint.hpp"
 #include "sensitivity/piece_inputs.hpp"
-#include "sensitivity/end_force.hpp"
 #include "sensitivity/run_gradient.hpp"
 
 namespace contactvi {

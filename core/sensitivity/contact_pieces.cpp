@@ -186,8 +186,8 @@ void ContactPieces::check_rests(const std::vector<VecX>& slips, const std::vecto
     const auto column = static_cast<Eigen::Index>(k);
     slip_[column] = slips[k][0];
     if (rates[0] == 0.0) continue;
-    const VecX left = slips[k] - rates * (slips[k][0] / rates[0]);
-    if (take_branch_ || (left.cwiseAbs().array() <= kTogether * sizes[k].array()).all()) continue;
+    const VecX with_first = rates * (slips[k][0] / rates[0]), size = sizes[k] + slips[k].cwiseAbs();
+    if (take_branch_ || ((slips[k] - with_first).array().abs() <= kTogether * size.array()).all()) continue;
     throw NoDerivative({"stick", -1, held_piece_->t + held_piece_->h}, "Several slips come to rest at one instant",
                        "one slip that comes to rest, or several that all directions bring to rest together",
                        "slips that a direction brings to rest one after the other",
@@ -245,9 +245,9 @@ bool ends_by_force(const RecordedRun& run, const Piece& piece, HeldStepTangent& 
 void ContactPieces::end(bool by_force, const RunDirections& d, RunColumns& columns) {
   VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
   solve_length(fq, fp);
-  const double rate = by_force                  ? force_.rate(fq, fp)
+  const double rate = by_force                 ? force_.rate(fq, fp)
                       : held_piece_ != nullptr ? held_->slip_changes()[0]
-                                                : tangent_.slip_change();
+                                               : tangent_.slip_change();
   check_end_rate(*piece_, by_force, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {
     VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();

@@ -6,10 +6,10 @@
 
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/dense_step_tangent.hpp"
+#include "sensitivity/end_force.hpp"
 #include "sensitivity/event_hit.hpp"
 #include "sensitivity/held_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
-#include "sensitivity/end_force.hpp"
 #include "sensitivity/run_directions.hpp"
 
 namespace contactvi {

@@ -209,7 +209,6 @@ void EndForce::set_weights(const std::vector<Vec3>& t1, const std::vector<Vec3>&
   }
 }
 
-
 double EndForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
   const PhaseEnd& s = end_;
   const int n = scene_->tree.nv;

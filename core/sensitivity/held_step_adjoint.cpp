@@ -62,7 +62,8 @@ void HeldStepAdjoint::pass_end(const VecX& lend, const VecX& mu, StepParameters&
     lv += end.chart().rate_transposed(lrate);
   }
   t.masses_.solve_mass(lv);
-  const VecX lfaster = t.end_system_.solve_transposed(end.given().transpose() * (lp + lv));
+  VecX lfaster = t.end_system_.solve_transposed(end.given().transpose() * (lp + lv));
+  lfaster(t.undirected_).setZero();
   const VecX lheavier = -lv - t.MinvC_ * lfaster;
   lp -= lheavier;
   adjoint_.add_momentum_parameters(end.configuration(), s.v1, lheavier, sums);

@@ -11,7 +11,8 @@ constexpr int kPasses = 3;        // the first solves, the others take the round
 constexpr double kStill = 1e-11;  // of the speeds: slip below it has no direction
 // Of the terms of a speed: what changes by more along a direction is moved by it.
 constexpr double kMoved = 1e-8;
-constexpr double kAcross = 1e-6;  // of the speeds: a slip that is across its direction by more has turned back
+constexpr double kVacuous = 1e-12;  // of the largest mobility: an equation with less says nothing
+constexpr double kAcross = 1e-6;    // of the speeds: a slip that is across its direction by more has turned back
 const ContactStepDirection kNoDirection;
 }  // namespace
 
@@ -169,6 +170,14 @@ void HeldStepTangent::take_end() {
   end.change_speeds(s.v1, end_watched_, end_along_);
   MatX A = end.watched().transpose() * MinvF_;
   A.bottomRightCorner(slides_, slides_).diagonal() -= end.along().transpose() * s.v1;
+  // What can neither move across its slip nor slips any more has no direction there.
+  undirected_.clear();
+  const double zero = slides_ > 0 ? kVacuous * A.diagonal().head(rows_).maxCoeff() : 0.0;
+  for (int r = rows_; r < rows_ + slides_; ++r) {
+    if (A.row(r).cwiseAbs().maxCoeff() > zero) continue;
+    A.row(r) = VecX::Unit(rows_ + slides_, r).transpose();
+    undirected_.push_back(r);
+  }
   end_system_.compute(std::move(A), fixed_, slides_);
   if (s.ending == HeldStepEnd::kRest) {
     take_rests();
@@ -220,8 +229,8 @@ void HeldStepTangent::take_rests() {
 void HeldStepTangent::take_slips() {
   const HeldStepRecord& s = *record_;
   end_rate_ = nodes_.back().chart().rate(s.v1);
-  raised_rates_ = s.rates * raised_.rate + v0_ * raised_.rate_by_start.transpose() +
-                  end_rate_ * raised_.rate_by_end.transpose();
+  raised_rates_ =
+      s.rates * raised_.rate + v0_ * raised_.rate_by_start.transpose() + end_rate_ * raised_.rate_by_end.transpose();
   raised_X_ = s.h * (s.rates * raised_.moved + v0_ * raised_.moved_by_start.transpose() +
                      end_rate_ * raised_.moved_by_end.transpose());
   node_watched_.resize(static_cast<std::size_t>(stages_));
@@ -311,7 +320,10 @@ void HeldStepTangent::check_start(const ContactStepDirection& d) {
   const HeldNode& start = nodes_.front();
   const VecX along = start.along().transpose() * dv + start_along_ * dq;
   const VecX across = start.watched().rightCols(slides_).transpose() * dv + start_watched_.bottomRows(slides_) * dq;
-  const VecX sizes = start.along().cwiseAbs().transpose() * size + start.watched().rightCols(slides_).cwiseAbs().transpose() * size;
+  const double moved = std::max(d.size_q, dq.cwiseAbs().maxCoeff());
+  const MatX gradients = start.along().cwiseAbs() + start.watched().rightCols(slides_).cwiseAbs();
+  const MatX changes = start_along_.cwiseAbs() + start_watched_.bottomRows(slides_).cwiseAbs();
+  const VecX sizes = gradients.transpose() * size + moved * changes.rowwise().sum();
   for (const int j : slip_start_.begins()) {
     if (std::hypot(along[j], across[j]) > kMoved * sizes[j])
       refuse_moved(record_->contacts[slide_of_[static_cast<std::size_t>(j)]].point.guard);
@@ -385,6 +397,7 @@ bool HeldStepTangent::add_end_impulse(const ContactStepDirection& d, const VecX&
   if (d.parameters != nullptr) step_.add_momentum(node.configuration(), s.v1, *d.parameters, heavier);
   VecX faster = end_watched_ * dq + MinvC_.transpose() * (dp - heavier), impulses;
   faster.head(rows_) += node.accelerations() * (d.t + d.h);
+  faster(undirected_).setZero();
   const bool agree = end_system_.solve(faster, size, impulses);
   dp += node.given() * impulses;
   end.segment(nv_, nv_) = dp;
@@ -517,7 +530,8 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   check_start(d);
   const int own = stage_unknowns();
   VecX x = VecX::Zero(unknowns()), off(unknowns()), end(end_size());
-  const VecX size = speed_sizes(d, nodes_.back().watched(), MinvC_), none = VecX::Zero(unknowns() - own), start = start_turns(d);
+  const VecX size = speed_sizes(d, nodes_.back().watched(), MinvC_), none = VecX::Zero(unknowns() - own),
+             start = start_turns(d);
   VecX sizes(unknowns());
   for (int k = 0; k < stages_; ++k) {
     set_node(sizes, k, record_->h * size.head(rows_));
@@ -537,7 +551,8 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   dq1 = end.head(nv_);
   dp1 = end.segment(nv_, nv_);
   slip_changes_ = end.tail(rest_speeds_.cols());
-  slip_sizes_ = speed_sizes(d, rest_speeds_, MinvR_);
+  const double moved = std::max(d.size_q, end.head(nv_).cwiseAbs().maxCoeff());
+  slip_sizes_ = speed_sizes(d, rest_speeds_, MinvR_) + moved * rest_changes_.cwiseAbs().rowwise().sum();
 }
 
 }  // namespace contactvi

@@ -107,8 +107,8 @@ class HeldStepTangent {
   Guards guards_;
   PersistentRows phase_;
   const HeldStepRecord* record_ = nullptr;
-  std::vector<int> rolling_;            // rows of velocities
-  std::vector<std::size_t> slide_of_;   // contact of each slide
+  std::vector<int> rolling_;           // rows of velocities
+  std::vector<std::size_t> slide_of_;  // contact of each slide
   HeldNode at_stage_;
   std::vector<MatX> roll_W_, roll_change_;  // of these at each stage: W (nv, count), d(W^T v)/dq (count, nv)
   std::vector<HeldNode> nodes_;             // s + 1
@@ -129,6 +129,7 @@ class HeldStepTangent {
   // impulse and the directions.
   MatX end_mass_change_, end_watched_, end_along_, MinvF_, MinvC_;
   SharedLoad end_system_;
+  std::vector<int> undirected_;  // directions there that nothing determines
   // Of the slips that come to rest there: gradients by the velocity, (nv, count), with M^-1 of these, and by the
   // configuration, (count, nv).
   MatX rest_speeds_, rest_changes_, MinvR_;

@@ -35,7 +35,8 @@ struct Piece {
   bool has_rows() const { return persistent || held != nullptr; }
 
   bool ends_itself() const {
-    return held != nullptr ? held->ending == HeldStepEnd::kRest : contact != nullptr && contact->ending != ContactStepEnd::kLength;
+    return held != nullptr ? held->ending == HeldStepEnd::kRest
+                           : contact != nullptr && contact->ending != ContactStepEnd::kLength;
   }
 };
 

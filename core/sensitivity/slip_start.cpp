@@ -11,7 +11,7 @@ namespace contactvi {
 namespace {
 // Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad].
 constexpr double kStep = 1e-5, kTurn = 1e-3;
-// Of the mobility along a slip: less than that across it is none, and of the largest pivot.
+// Of the mobility along the normal: less than that across a slip is none; and of the largest pivot.
 constexpr double kPlane = 1e-12, kDependent = 1e-7;
 }  // namespace
 
@@ -52,13 +52,13 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
   masses_.solve_masses(mobility);
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff(), input = 1.0 + start_.tau.cwiseAbs().maxCoeff();
   const auto sized = [](double step_size) { return [=](Eigen::Index) { return step_size; }; };
-  by_q_ = differences(n, sized(kStep),
-                      [&](Place& at, Eigen::Index k, double by) { integrate(tree, step.q0, VecX::Unit(n, k), by, at.q); });
+  by_q_ = differences(n, sized(kStep), [&](Place& at, Eigen::Index k, double by) {
+    integrate(tree, step.q0, VecX::Unit(n, k), by, at.q);
+  });
   by_p_ = differences(
       n, [&](Eigen::Index k) { return kStep * speed / mobility.col(k).cwiseAbs().maxCoeff(); },
       [](Place& at, Eigen::Index k, double by) { at.p[k] += by; });
-  by_tau_ =
-      differences(n, sized(kStep * input), [](Place& at, Eigen::Index k, double by) { at.tau[k] += by; });
+  by_tau_ = differences(n, sized(kStep * input), [](Place& at, Eigen::Index k, double by) { at.tau[k] += by; });
   by_mu_ = differences(slides, sized(kStep), [](Place& at, Eigen::Index k, double by) { at.mu[k] += by; });
   by_others_ = differences(slides, sized(kTurn), [](Place& at, Eigen::Index k, double by) { at.angles[k] += by; });
   solve_turns(mobility);
@@ -116,8 +116,9 @@ void SlipStart::solve_turns(const MatX& mobility) {
   MatX own = by_others_(Eigen::all, begins_);
   for (Eigen::Index k = 0; k < count; ++k) {
     const int j = begins_[static_cast<std::size_t>(k)];
-    const VecX side = node_.watched().col(record_->lambda.rows() + j), forward = node_.along().col(j);
-    if (side.dot(mobility * side) > kPlane * forward.dot(mobility * forward)) continue;
+    const VecX side = node_.watched().col(record_->lambda.rows() + j),
+               normal = node_.gradients().col(rows_of_slides_[static_cast<std::size_t>(j)]);
+    if (side.dot(mobility * side) > kPlane * normal.dot(mobility * normal)) continue;
     own.row(k).setZero();
     own.col(k).setZero();
   }

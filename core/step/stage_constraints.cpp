@@ -71,7 +71,7 @@ void StageConstraints::resize() {
     for (MatX* X : {&node.along, &node.across, &node.chart_across}) X->resize(nv, slides_);
     node.slip_across.setZero(slides_);
   }
-  if (lambda_.rows() != rows_) lambda_.setZero(rows_, stages_ + 1);
+  if (lambda_.rows() != rows_ || lambda_.cols() != stages_ + 1) lambda_.setZero(rows_, stages_ + 1);
   angles_.setZero(slides_, stages_ + 1);
   slips_.setZero(slides_, stages_ + 1);
   answers_.setZero(slides_, stages_ + 1);

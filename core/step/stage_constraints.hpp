@@ -155,7 +155,7 @@ class StageConstraints {
   // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps
   // the direction of the node before it, so that the equations stay smooth beyond the place where the slip ends.
   std::vector<int> turns_;
-  MatX to_nodes_;            // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
+  MatX to_nodes_;  // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
   RaisedNodes raised_;
   StagePanel displaced_;     // of one node, (nv, columns)
   std::vector<MatX> rolls_;  // per stage: W of all rows of the phase there, (nv, count)
