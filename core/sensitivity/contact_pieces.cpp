@@ -176,8 +176,8 @@ void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
   if (held_piece_->ends_itself() || force_ends_) end(force_ends_, d, columns);
 }
 
-// Slips that come to rest at one instant do so along every direction, or there is a kink. Of each column: the changes of
-// these slips, and the sizes of their terms.
+// Slips that come to rest at one instant do so along every direction, or there is a kink. Of each column: the changes
+// of these slips, and the sizes of their terms.
 void ContactPieces::check_rests(const std::vector<VecX>& slips, const std::vector<VecX>& sizes) {
   VecX fq(held_piece_->p.size()), fp(held_piece_->p.size());
   solve_length(fq, fp);

@@ -3,8 +3,8 @@
 //
 // All of them are combinations of columns: the gradients of the constraints, those of the normal and of both tangents
 // of each contact, and those of the joints. A row has an impulse, which acts along its column, but that of a sliding
-// contact along n - mu d, d the direction of its slip. This is an angle between its tangents, which acts as well: a turn
-// of it by -mu times the impulse, across the slip.
+// contact along n - mu d, d the direction of its slip. This is an angle between its tangents, which acts as well: a
+// turn of it by -mu times the impulse, across the slip.
 #pragma once
 
 #include "contact/held_step_record.hpp"
@@ -35,8 +35,8 @@ class HeldNode {
   const MatX& gradients() const { return gradients_; }
   const MatX& watched() const { return watched_; }
   const MatX& along() const { return along_; }
-  // The force of all impulses, (nv,); what it changes by with the impulses and the angles, (nv, rows + slides), with the
-  // coefficients of friction, (nv, slides), and with the configuration.
+  // The force of all impulses, (nv,); what it changes by with the impulses and the angles, (nv, rows + slides), with
+  // the coefficients of friction, (nv, slides), and with the configuration.
   const VecX& force() const { return force_; }
   const MatX& given() const { return given_; }
   const MatX& by_friction() const { return by_friction_; }

@@ -1,8 +1,8 @@
 // The derivative of a smooth step of any order that keeps rows (step/stage_constraints.hpp): of its equations at their
 // solution.
 //
-// Unknown are the changes dU of the chart rates at the stages, dLambda of the impulses at all nodes but the last, and of
-// the directions in which contacts slide at the nodes between both ends. The stage equations along them are
+// Unknown are the changes dU of the chart rates at the stages, dLambda of the impulses at all nodes but the last, and
+// of the directions in which contacts slide at the nodes between both ends. The stage equations along them are
 // StepTangent's, with the changes of the forces F_k Lambda_k at the nodes (held_node.hpp),
 //   d(F_k Lambda_k) = F_k dLambda_k + (dF_k / ddirection) Lambda_k ddirection + (dF_k . dq_k) Lambda_k,
 // dq_k the change of the configuration at node k. Beside them stand the rows, W_k^T dq_k + (d phi/dt) dt_k = 0 at the
@@ -69,7 +69,8 @@ class HeldStepTangent {
   int held() const { return rows_ - fixed_; }
   Eigen::Index end_size() const { return 2 * nv_ + rest_speeds_.cols(); }
   int turns_at(int node) const { return stage_unknowns() + rows_ * stages_ + (node - 1) * slides_; }
-  // The impulses of a node among the unknowns x, with the directions there, (rows + slides,); start: those of the first.
+  // The impulses of a node among the unknowns x, with the directions there, (rows + slides,); start: those of the
+  // first.
   VecX of_node(const VecX& x, int node, const VecX& start) const;
   // The equations of the rows at the node after it: (rows,).
   void set_node(VecRef x, int node, const VecX& values) const;
@@ -82,8 +83,8 @@ class HeldStepTangent {
   VecX start_velocity_change(const ContactStepDirection& direction);
   VecX start_turns(const ContactStepDirection& direction);
   // Along a direction and with changes x of the unknowns, (unknowns,): what the equations are off by, and what the end
-  // (q1, p1) changes by, with the slips that come to rest there, (end_size,). start: changes of the directions there. False
-  // where the impulse at the end does not exist; size: of the terms of its equations.
+  // (q1, p1) changes by, with the slips that come to rest there, (end_size,). start: changes of the directions at the
+  // start. False where the impulse at the end does not exist; size: of the terms of its equations.
   bool assess(const ContactStepDirection& direction, const VecX& x, const VecX& start, const VecX& size, VecRef off,
               VecRef end);
   bool add_end_impulse(const ContactStepDirection& direction, const VecX& size, VecRef end, VecX& dv1);
