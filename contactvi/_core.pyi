@@ -431,7 +431,7 @@ def linear_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(N
 
 def linear_contact_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], momentum: bool, h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0, order: int = 2, tol: float = 1e-12) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]] | dict[str, Any]:
     """
-    As linear_step(), of a step with impulses of constraints, without contacts, and of one of order 2 with joint friction; or the reason why there is none.
+    As linear_step(), of a step with impulses of constraints and joint friction, without contacts; or the reason why there is none.
     """
 
 class Linearizer:

@@ -230,12 +230,6 @@ def _linear_step(
     step = (compiled.core, q, x, momentum, options.fixed_dt, force, target, t, options.order, options.stage_tol)
     if not compiled.built.constrained:
         return _core.linear_step(*step)
-    if options.order > 2 and np.any(compiled.built.arrays.joint_friction):
-        raise NotDifferentiable(
-            "A single step above order 2 with joint friction has no derivatives that are known", reason="step", time=t,
-            expected="order=2 beside joint friction", got=options.order,
-            remedy="Use order=2, or a run: simulate(..., record='gradient')",
-        )  # fmt: skip
     found = _core.linear_contact_step(*step)
     if isinstance(found, dict):
         raise NotDifferentiable(

@@ -54,8 +54,8 @@ class PerturbedRuns:
     def __init__(self, scene: Scene, traj: Trajectory, exact: Sensitivity) -> None:
         self._scene, self._exact = scene, exact
         self._compiled = compile_scene(scene).at_start(traj.q[0])
-        # Runs for derivatives have steps of their own: contact steps of order 2 where others hold contacts, joint
-        # friction and constraints in smooth steps; and all trees are advanced together.
+        # Runs for derivatives have steps of their own: with implicit maps contact steps of order 2 where others hold
+        # constraints in smooth steps; and all trees are advanced together.
         self._settings = replace(traj.options, record="gradient", tol=min(SOLVED, traj.options.stage_tol))
         self._q, self._v, self._t = np.array(traj.q[0]), np.array(traj.v[0]), float(traj.t[0])
         bound = bool(self._compiled.built.elements.constraints)

@@ -123,8 +123,7 @@ class Ledger:
     def _meets_with_order_2(self) -> bool:
         """Return whether constraints or joint friction are met by steps of order 2, whatever that of the run is."""
         implicit, friction = self._run.options.impact != "ctec", bool(np.any(self._built.arrays.joint_friction))
-        low = implicit or friction if self._run.options.record == "gradient" else implicit and friction
-        return self._constrained and low
+        return self._constrained and implicit and (friction or self._run.options.record == "gradient")
 
     def __repr__(self) -> str:
         return f"<Ledger: {len(self.t)} nodes, {len(self.events)} impacts>"

@@ -191,8 +191,8 @@ class Trajectory(Exports):
         """The modified Hamiltonian [J], shape (N,).
 
         At order 2 what the midpoint rule with step dt conserves to O(dt^4); from order 4 on H itself, whose nodes are
-        within O(dt^order) of what the integrator conserves. With record="gradient" steps with joint friction have
-        order 2, and with "dtec" and "mhc" those with constraints.
+        within O(dt^order) of what the integrator conserves. With "dtec" and "mhc" steps with joint friction have order
+        2, and with record="gradient" those with constraints.
         """
         return self._get("modified_energy", lambda core: self.ledger.modified_energy)
 

@@ -86,9 +86,8 @@ std::variant<LinearArrays, Dict> linear_contact_step(const Scene& s, const VecX&
   const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
   try {
     const StepInputs inputs = inputs_of(s.tree, t, tau, target);
-    const bool held = order > 2 && s.tree.elements.friction_dofs.empty();
-    const LinearStep step = held ? linearize_held_step(s, q, x, kind, h, inputs, order / 2, tol)
-                                 : linearize_contact_step(s, q, x, kind, h, inputs);
+    const LinearStep step = order > 2 ? linearize_held_step(s, q, x, kind, h, inputs, order / 2, tol)
+                                      : linearize_contact_step(s, q, x, kind, h, inputs);
     UserErrors::raise();
     return LinearArrays{step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
   } catch (const NoDerivative& reason) {
@@ -280,8 +279,8 @@ void expose_derivatives(nb::module_& m) {
         "solves one tangent equation per column.");
   m.def("linear_contact_step", &linear_contact_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a = nb::none(),
         "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,
-        "As linear_step(), of a step with impulses of constraints, without contacts, and of one of order 2 with joint "
-        "friction; or the reason why there is none.");
+        "As linear_step(), of a step with impulses of constraints and joint friction, without contacts; or the reason "
+        "why there is none.");
   nb::class_<Linearizer>(m, "Linearizer", nb::type_slots(linearizer_slots))
       .def(nb::init<const Scene&, int, double>(), "scene"_a, "order"_a, "tol"_a, nb::keep_alive<1, 2>())
       .def("step", &Linearizer::step, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a.none(), "target"_a.none(), "t"_a,

@@ -320,6 +320,7 @@ class Recorded {
       if (const auto step = held.find(piece.t); step != held.end() && step->second->h == piece.h) {
         piece.held = step->second;
         if (piece.held->rates.cols() != run_.stages) throw Error("rates: wrong shape");
+        if (piece.held->ending == HeldStepEnd::kRest) piece.end = PieceEnd::kEvent;
         continue;
       }
       if (!piece.persistent) {

@@ -161,6 +161,7 @@ class ContactStep final : public Stepper {
     return both;
   }
   int joint_row(std::size_t k) const { return bilateral_ + static_cast<int>(k); }
+  VecX of_joints(const VecX& rows) const { return rows.segment(bilateral_, friction_rows_); }
   // Smooth steps have led to a state with this velocity.
   void follow(const VecX& v) { v1_ = v; }
   // Scale of the forces that the last call of persistent_forces found [N]: the largest of them, or the weight on a

@@ -22,6 +22,7 @@ struct PersistentContact {
   int rows() const { return mu > 0.0 ? 3 : 1; }
   // Whether it is a material point that sticks at a place, and not surfaces that roll on each other.
   bool keeps_place() const { return mu > 0.0 && sticks && point.material; }
+  bool slides() const { return mu > 0.0 && !sticks; }  // with friction
 };
 
 // The result of a step for one persistent contact.

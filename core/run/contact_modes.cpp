@@ -11,8 +11,6 @@ namespace contactvi {
 namespace {
 constexpr double kStill = 1e-11;   // of the speeds: slip below it is rest
 constexpr double kClosed = 1e-10;  // of the speeds: a contact whose normal speed is larger is not held
-// Of the largest acceleration: one that begins a slip. Where contacts share a load the forces agree to 1e-7.
-constexpr double kBegins = 1e-7;
 // Switch functions are known to rounding of 1e-12 by their finder; continuous forces to this times as much.
 constexpr double kCoarse = 1e3;
 // Of the larger one of two forces, or of the cone: a force that is extrapolated to less, or comes closer, may reach
@@ -54,28 +52,13 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
     contacts[i].heading.setZero();
     if (contacts[i].mu > 0.0 && !contacts[i].sticks) directions_[i] = contacts[i].slip;
   }
-  const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
-  for (FrictionJoint& joint : step_->friction_joints()) {
-    joint.sticks = std::abs(v[joint.dof]) <= still;
-    joint.heading = joint.sticks ? 0.0 : std::copysign(1.0, v[joint.dof]);
-    joint.anchored = joint.anchored && joint.sticks;
-    if (joint.sticks && !joint.anchored && joint.iq >= 0) {
-      joint.anchor = q[joint.iq];
-      joint.anchored = true;
-    }
-  }
+  settle_joints(step_->friction_joints(), q, v);
   if (!step_->forces_at(*integrator_, q, v, t, tau, directions_, forces_)) return false;
   // One that separates slowly is left to contact steps, which know whether it stays: here it would be pulled back.
   for (std::size_t i = 0; i < contacts.size(); ++i)
     if (std::abs(step_->force_normal_speed(i)) > kClosed * (1.0 + v.cwiseAbs().maxCoeff())) return false;
   const double begins = kBegins * forces_.largest;
-  for (std::size_t k = 0; k < step_->friction_joints().size(); ++k) {
-    FrictionJoint& joint = step_->friction_joints()[k];
-    const double a = forces_.a[step_->joint_row(k)];
-    if (!joint.sticks || !(std::abs(a) > begins)) continue;
-    joint.sticks = joint.anchored = false;
-    joint.heading = std::copysign(1.0, a);
-  }
+  begin_joint_slips(step_->friction_joints(), step_->of_joints(forces_.a), begins);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     PersistentContact& c = contacts[i];
     if (c.mu == 0.0) continue;
@@ -99,12 +82,6 @@ bool ContactModes::is_paradox(std::size_t i) const {
   const int r = step_->row(i);
   const Eigen::Vector2d d = step_->force_tangents(i).transpose() * directions_[i].normalized();
   return G(r, r) - step_->contacts()[i].mu * G.row(r).segment<2>(r + 1).dot(d) <= kParadox * G(r, r);
-}
-
-bool ContactModes::have_derivatives() const {
-  const std::vector<PersistentContact>& contacts = step_->contacts();
-  return std::all_of(contacts.begin(), contacts.end(),
-                     [](const PersistentContact& c) { return c.mu == 0.0 || c.sticks; });
 }
 
 bool ContactModes::fits(const VecX& q1) {

@@ -35,8 +35,6 @@ class ContactModes final : public SwitchFunctions {
   bool fits(const VecX& q1);
   // Whether it leaves open how sliding contacts share a load, which decides about the motion: contact steps do not.
   bool is_undetermined() const { return integrator_->constraints()->slides_share_load(); }
-  // Whether the derivatives of steps that hold them as they are now are known: nothing slides with friction.
-  bool have_derivatives() const;
   // Looks from now on whether what they do ends in that step, of length h from a state with the velocity v0.
   void take_step(double h, const VecX& v0, const VecX& tau);
   double friction_work();  // in the step just solved [J], <= 0

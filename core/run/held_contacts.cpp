@@ -19,7 +19,6 @@ constexpr double kAtOnce = 1e-9;  // [s] of 1 s + t: spans follow each other
 }  // namespace
 
 bool Simulator::may_hold_contacts(double time) const {
-  if (options_.gradient && !modes_.have_derivatives()) return false;
   return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }
 
@@ -55,15 +54,32 @@ bool Simulator::held_step_keeps_energy() {
          kResolved * (T0 + T1 + std::abs(V1 - V0)) + kEnergyRounding * (std::abs(V0) + std::abs(V1));
 }
 
-void Simulator::keep_held_step() {
+// switches: whether it ends where the last search has found something to end.
+void Simulator::keep_held_step(bool switches) {
   kept_held_steps_.push_back(held_step_record(integrator_, state_.q, state_.p));
-  if (modes_.active()) kept_held_steps_.back().contacts = contact_step_.contacts();
-}
-
-// Whether what ends the smooth step is the beginning of a slip.
-bool Simulator::slip_begins() const {
-  const int function = switches_.which() - branches_.count();
-  return function >= 0 && modes_.ending(function).end == ContactModes::End::kSlip;
+  if (!modes_.active()) return;
+  HeldStepRecord& record = kept_held_steps_.back();
+  record.angles = integrator_.constraints()->slip_angles();
+  record.contacts = contact_step_.contacts();
+  record.joints = contact_step_.friction_joints();
+  const int function = switches ? switches_.which() - branches_.count() : -1;
+  if (function < 0) return;
+  const ContactModes::Ending ending = modes_.ending(function);
+  const bool of_joint = ending.end == ContactModes::End::kJointSlips || ending.end == ContactModes::End::kJointSticks;
+  record.ended = static_cast<int>(ending.contact + (of_joint ? record.contacts.size() : 0));
+  switch (ending.end) {
+    case ContactModes::End::kRelease:
+      record.ending = HeldStepEnd::kRelease;
+      break;
+    case ContactModes::End::kSlip:
+    case ContactModes::End::kJointSlips:
+      record.ending = HeldStepEnd::kSlip;
+      break;
+    case ContactModes::End::kStick:
+    case ContactModes::End::kJointSticks:
+      record.ending = HeldStepEnd::kRest;
+      break;
+  }
 }
 
 // What the function of the modes says at a state that ends a step or begins one happens to the contacts.

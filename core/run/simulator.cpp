@@ -27,11 +27,10 @@ bool dissipates(const Tree& tree) {
 }  // namespace
 
 // Order 2 is that of contact steps. Implicit maps solve steps of their own, which know no joint friction but that of
-// contact steps. Where derivatives are wanted those of the steps have to be known: without joint friction, and beside
-// no implicit map.
+// contact steps, and beside rows have no derivative but that of those.
 bool keeps_constraints(const Tree& tree, const SimulatorOptions& options) {
   const bool friction = !tree.elements.friction_dofs.empty(), ctec = options.impact == ImpactMap::kCtec;
-  return options.stages > 1 && (options.gradient ? !friction && ctec : !friction || ctec);
+  return options.stages > 1 && (ctec || !(options.gradient || friction));
 }
 
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
@@ -370,7 +369,6 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     if (!integrator_.node_velocity(state_.q, state_.p, v_) ||
         !modes_.begin_step(state_.q, v_, at, interval.tau, recording))
       return leave_to_contact_steps(at);
-    if (options_.gradient && !modes_.have_derivatives()) return leave_to_contact_steps(at);
     integrator_.set_time(at);
   }
   // A run that chooses its steps learns from one that is too long to be solved.
@@ -396,8 +394,6 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (branches_.count() > 0 || modes_.count() > 0) {
     const Search found = switches_.search(state_.q, state_.p, v_, q1_, p1_, h, interval.tau);
     if (found != Search::kNone) integrator_.forget();
-    // The steps of the slip have another order: the time of its beginning would matter to derivatives.
-    if (found == Search::kFound && options_.gradient && slip_begins()) return leave_to_contact_steps(at);
     if (found == Search::kFound) {
       if (switches_.alpha() <= 0.0) return enter_branch(interval, state_.q, v_, false, recording);
       switches = true;
@@ -440,10 +436,10 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (holds) {
     if (sinks_deeper(recording, at + h)) return reject();
     if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
-    if (keeps_held_steps()) keep_held_step();
+    if (keeps_held_steps()) keep_held_step(switches);
     modes_.commit(at, state_.step, options_.record_contacts, recording);
   } else if (keeps_held_steps()) {
-    keep_held_step();
+    keep_held_step(false);
   }
   state_.work.add(work);
   control.flew(options_.dt);
@@ -491,7 +487,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   const double at = interval.start + interval.done, before = event.alpha * h;
   const bool holds = modes_.active();
   if (before > 0.0) {
-    if (keeps_held_steps()) keep_held_step();
+    if (keeps_held_steps()) keep_held_step(false);
     if (holds) modes_.commit(at, state_.step, options_.record_contacts, recording);
     state_.work.add(state_.work.of(integrator_));
     if (options_.dense) rates_ = integrator_.rates();

@@ -237,8 +237,7 @@ class Simulator {
   bool held_step_keeps_energy();
   // Whether the smooth step just solved keeps rows and is to be kept for derivatives.
   bool keeps_held_steps() const { return options_.gradient && integrator_.constraints() != nullptr; }
-  void keep_held_step();
-  bool slip_begins() const;
+  void keep_held_step(bool switches);
   void change_contact(int function, double time, const VecX& v, bool moved, Recording& recording);
 
   // contact_phase.cpp: steps in persistent contact.

@@ -5,7 +5,13 @@
 namespace contactvi {
 
 ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
-    : scene_(&scene), run_(&run), adjoint_(scene), take_branch_(take_branch), release_(scene, run) {}
+
+    : scene_(&scene),
+      run_(&run),
+      masses_(scene.tree, 1, 1e-12, 1),
+      adjoint_(scene),
+      take_branch_(take_branch),
+      force_(scene, run) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();
@@ -14,14 +20,16 @@ void ContactPieceAdjoint::start() {
 
 void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   if (piece.held == nullptr) check_contact_piece(*run_, piece);
+  piece_ = &piece;
   step_ = piece.contact;
   dense_step_ = piece.dense;
   held_piece_ = piece.held != nullptr ? &piece : nullptr;
   inputs_ = &inputs;
   number_ = piece.step;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points);
+    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points, take_branch_);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
+    force_ends_ = ends_by_force(*run_, piece, held_->tangent(), inputs, masses_, force_);
     return;
   }
   if (dense_step_ != nullptr) {
@@ -51,7 +59,7 @@ Vec3 ContactPieceAdjoint::take_anchor(const ContactPoint& point) {
 }
 
 void ContactPieceAdjoint::leave_anchors(VecX& lq) {
-  if (held_piece_ != nullptr) return leave_held_anchors();
+  if (held_piece_ != nullptr) return leave_held_anchors(lq);
   if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
     finish();
     return;
@@ -79,13 +87,19 @@ void ContactPieceAdjoint::leave_anchors(VecX& lq) {
 }
 
 // They count from the start of the step, or from where they stuck before it.
-void ContactPieceAdjoint::leave_held_anchors() {
+void ContactPieceAdjoint::leave_held_anchors(VecX& lq) {
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   held_anchors_.setZero(3, static_cast<Eigen::Index>(contacts.size()));
   for (std::size_t i = 0; i < contacts.size(); ++i)
     if (contacts[i].keeps_place()) held_anchors_.col(static_cast<Eigen::Index>(i)) = take_anchor(contacts[i].point);
   finish();
   anchors_.clear();
+  const std::vector<FrictionJoint>& joints = held_piece_->held->joints;
+  for (std::size_t j = 0; j < joints.size(); ++j) {
+    if (!joints[j].sticks) continue;
+    lq[joints[j].dof] += joint_anchors_[static_cast<Eigen::Index>(j)];
+    joint_anchors_[static_cast<Eigen::Index>(j)] = 0.0;
+  }
 }
 
 void ContactPieceAdjoint::finish() const {
@@ -117,9 +131,10 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, double lenergy
   }
   if (held_piece_ != nullptr) return pass_held(lq, lp, ltime, result);
   const ContactStepRecord& s = *step_;
-  const bool ends_itself = s.ending != ContactStepEnd::kLength;
+  const bool ends_itself = s.ending != ContactStepEnd::kLength, releases = s.ending == ContactStepEnd::kRelease;
   double lslip = 0.0;
-  if (ends_itself && s.ending != ContactStepEnd::kImpact) lslip = pass_end(lq, lp, ltime, result);
+  if (releases) force_.take(release_of(s), inputs_->tau(), inputs_->servo());
+  if (ends_itself && s.ending != ContactStepEnd::kImpact) lslip = pass_end(releases, lq, lp, ltime, result);
   result.begin_step();
   if (!adjoint_.solve(lq, lp, lslip, gradient_, result.parameters))
     throw NoDerivative({"step", -1, s.t}, "The derivative of a step was not solved",
@@ -159,14 +174,17 @@ void ContactPieceAdjoint::pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradi
 }
 
 void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+  double lslip = 0.0;
+  if (held_piece_->ends_itself() || force_ends_) lslip = pass_end(force_ends_, lq, lp, ltime, result);
   result.begin_step();
-  if (!held_->solve(lq, lp, gradient_, result.parameters))
+  if (!held_->solve(lq, lp, lslip, gradient_, result.parameters))
     throw NoDerivative({"step", -1, held_piece_->t}, "The derivative of a step was not solved",
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = gradient_.q;
   lp = gradient_.p;
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
+    if (contacts[i].mu > 0.0) result.mu[contacts[i].point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
     if (!contacts[i].keeps_place()) continue;
     const Vec3 gradient = held_anchors_.col(static_cast<Eigen::Index>(i));
     if (contacts[i].anchored) {
@@ -176,37 +194,33 @@ void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradie
       lq += held_->tangent().start_place_change(i).transpose() * gradient;
     }
   }
-  const double later = held_piece_->end == PieceEnd::kLength ? ltime : -gradient_.h;
+  const double later = held_piece_->end == PieceEnd::kLength && !force_ends_ ? ltime : -gradient_.h;
   ltime = gradient_.t + later;
   inputs_->mask(gradient_.tau);
   result.end_step(number_, gradient_.tau);
 }
 
 // A slip that comes to rest, or a force that comes to zero: the gradient in that slip.
-double ContactPieceAdjoint::pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
-  const ContactStepRecord& s = *step_;
+double ContactPieceAdjoint::pass_end(bool by_force, VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
   VecX fq(lq.size()), fp(lq.size());
   solve_length(fq, fp);
-  const bool releases = s.ending == ContactStepEnd::kRelease;
-  double rate = adjoint_.tangent().slip_change();
-  if (releases) {
-    release_.take(s, inputs_->tau(), inputs_->servo());
-    rate = release_.rate(fq, fp);
-  }
-  check_contact_end(s, rate);
+  const double rate = by_force                 ? force_.rate(fq, fp)
+                      : held_piece_ != nullptr ? held_->tangent().slip_changes()[0]
+                                               : adjoint_.tangent().slip_change();
+  check_end_rate(*piece_, by_force, rate);
   const double gradient = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;
   ltime = 0.0;
-  if (!releases) return gradient;
-  pass_release(gradient, lq, lp, result);
+  if (!by_force) return gradient;
+  pass_force(gradient, lq, lp, result);
   return 0.0;
 }
 
-void ContactPieceAdjoint::pass_release(double lforce, VecX& lq, VecX& lp, RunGradient& result) {
-  const ContactStepRecord& s = *step_;
-  const Eigen::Index n = lq.size(), contacts = static_cast<Eigen::Index>(s.contacts.size());
+void ContactPieceAdjoint::pass_force(double lforce, VecX& lq, VecX& lp, RunGradient& result) {
+  const std::vector<PhaseEnd::Contact>& contacts = force_.end().contacts;
+  const Eigen::Index n = lq.size(), count = static_cast<Eigen::Index>(contacts.size());
   const VecX none = VecX::Zero(n), empty;
   const auto along = [&](const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
-    return lforce * release_.change(dq, dp, dtau, dmu);
+    return lforce * force_.change(dq, dp, dtau, dmu);
   };
   VecX momentum(n), force(n);
   for (Eigen::Index k = 0; k < n; ++k) {
@@ -217,11 +231,12 @@ void ContactPieceAdjoint::pass_release(double lforce, VecX& lq, VecX& lp, RunGra
   }
   lp += momentum;
   result.begin_step();
-  release_.add_parameters(momentum, force, result.parameters);
+  force_.add_parameters(momentum, force, result.parameters);
+  if (held_piece_ != nullptr) inputs_->mask(force);
   result.end_step(number_, force);
-  for (Eigen::Index i = 0; i < contacts; ++i) {
-    const PersistentContact& before = s.contacts[i].before;
-    if (before.mu > 0.0) result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(contacts, i));
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const PersistentContact& before = contacts[static_cast<std::size_t>(i)].before;
+    if (before.mu > 0.0) result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(count, i));
   }
 }
 

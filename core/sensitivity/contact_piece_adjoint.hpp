@@ -6,9 +6,9 @@
 
 #include "sensitivity/contact_step_adjoint.hpp"
 #include "sensitivity/dense_step_adjoint.hpp"
+#include "sensitivity/end_force.hpp"
 #include "sensitivity/held_step_adjoint.hpp"
 #include "sensitivity/piece_inputs.hpp"
-#include "sensitivity/release_force.hpp"
 #include "sensitivity/run_gradient.hpp"
 
 namespace contactvi {
@@ -43,19 +43,22 @@ class ContactPieceAdjoint {
 
   void add_energy(double lenergy, VecX& lq, VecX& lp, double& ltime);
   Vec3 take_anchor(const ContactPoint& point);
-  void leave_held_anchors();
-  double pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
+  void leave_held_anchors(VecX& lq);
+  double pass_end(bool by_force, VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_held(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
-  void pass_release(double lforce, VecX& lq, VecX& lp, RunGradient& result);
+  void pass_force(double lforce, VecX& lq, VecX& lp, RunGradient& result);
 
   const Scene* scene_;
   const RecordedRun* run_;
+  Integrator masses_;
   ContactStepAdjoint adjoint_;
   std::unique_ptr<DenseStepAdjoint> dense_;  // made for the first dense step
   std::unique_ptr<HeldStepAdjoint> held_;    // and for the first held one
   bool take_branch_;
-  ReleaseForce release_;
+  EndForce force_;
+  bool force_ends_ = false;  // the held step that was taken
+  const Piece* piece_ = nullptr;
   const ContactStepRecord* step_ = nullptr;
   const DenseStepRecord* dense_step_ = nullptr;
   const Piece* held_piece_ = nullptr;  // one of the three

@@ -7,9 +7,10 @@ namespace contactvi {
 ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
+      masses_(scene.tree, 1, 1e-12, 1),
       tangent_(scene),
       take_branch_(take_branch),
-      release_(scene, run),
+      force_(scene, run),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 
 void ContactPieces::start(Eigen::Index count) {
@@ -37,15 +38,17 @@ void refuse_sticking_start(const ContactPoint& point, double time) {
 
 void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   if (piece.held == nullptr) check_contact_piece(*run_, piece);
+  piece_ = &piece;
   step_ = piece.contact;
   dense_step_ = piece.dense;
   held_piece_ = piece.held != nullptr ? &piece : nullptr;
   inputs_ = &inputs;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages, run_->contact_points);
+    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages, run_->contact_points, take_branch_);
     for (const PersistentContact& c : piece.held->contacts)
       if (c.anchored && anchor_of(c.point) == nullptr) refuse_sticking_start(c.point, piece.t);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
+    force_ends_ = ends_by_force(*run_, piece, *held_, inputs, masses_, force_);
     return;
   }
   if (dense_step_ != nullptr) {
@@ -107,7 +110,10 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     if (energies) energies_[k] = tangent_.energy_change_before();
     if (!ends_itself) columns.time[k] += direction_.h;
   }
-  if (ends_itself && step_->ending != ContactStepEnd::kImpact) end(d, columns);
+  if (!ends_itself || step_->ending == ContactStepEnd::kImpact) return;
+  const bool releases = step_->ending == ContactStepEnd::kRelease;
+  if (releases) force_.take(release_of(*step_), inputs_->tau(), inputs_->servo());
+  end(releases, d, columns);
 }
 
 void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
@@ -139,6 +145,8 @@ void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
 // As a smooth step without rows: to the time that it ends at or, where it has a given length, so long after its start.
 void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
   energies_.setZero(d.count);
+  slip_.setZero(d.count);
+  std::vector<VecX> slips, sizes;
   size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
   size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
   held_anchors_ = held_anchors(columns);
@@ -156,10 +164,34 @@ void ContactPieces::move_held(const RunDirections& d, RunColumns& columns) {
     direction.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
     inputs_->mask(direction.tau);
     direction.t = columns.time[k];
-    direction.h = held_piece_->end == PieceEnd::kLength ? 0.0 : -columns.time[k];
+    direction.h = held_piece_->end == PieceEnd::kLength && !force_ends_ ? 0.0 : -columns.time[k];
+    direction.mu = friction_change(d, k);
     direction.parameters = d.parameter(k);
     held_->solve(direction, columns.q.col(k), columns.p.col(k));
+    slips.push_back(held_->slip_changes());
+    sizes.push_back(held_->slip_sizes());
     if (held_piece_->end == PieceEnd::kTime) columns.time[k] = 0.0;
+  }
+  if (held_piece_->ends_itself()) check_rests(slips, sizes);
+  if (held_piece_->ends_itself() || force_ends_) end(force_ends_, d, columns);
+}
+
+// Slips that come to rest at one instant do so along every direction, or there is a kink. Of each column: the changes
+// of these slips, and the sizes of their terms.
+void ContactPieces::check_rests(const std::vector<VecX>& slips, const std::vector<VecX>& sizes) {
+  VecX fq(held_piece_->p.size()), fp(held_piece_->p.size());
+  solve_length(fq, fp);
+  const VecX rates = held_->slip_changes();
+  for (std::size_t k = 0; k < slips.size(); ++k) {
+    const auto column = static_cast<Eigen::Index>(k);
+    slip_[column] = slips[k][0];
+    if (rates[0] == 0.0) continue;
+    const VecX with_first = rates * (slips[k][0] / rates[0]), size = sizes[k] + slips[k].cwiseAbs();
+    if (take_branch_ || ((slips[k] - with_first).array().abs() <= kTogether * size.array()).all()) continue;
+    throw NoDerivative({"stick", -1, held_piece_->t + held_piece_->h}, "Several slips come to rest at one instant",
+                       "one slip that comes to rest, or several that all directions bring to rest together",
+                       "slips that a direction brings to rest one after the other",
+                       "Start elsewhere; on_kink='taken' gives the derivative of what was taken");
   }
 }
 
@@ -180,37 +212,49 @@ std::vector<ContactPieces::Anchor> ContactPieces::held_anchors(const RunColumns&
 VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column) const {
   VecX dmu;
   if (d.mu.size() == 0) return dmu;
-  dmu.resize(static_cast<Eigen::Index>(step_->contacts.size()));
-  for (std::size_t i = 0; i < step_->contacts.size(); ++i) {
-    const PersistentContact& before = step_->contacts[i].before;
-    dmu[i] = before.mu > 0.0 ? d.mu(before.point.guard, column) : 0.0;
+  const std::size_t count = held_piece_ != nullptr ? held_piece_->held->contacts.size() : step_->contacts.size();
+  dmu.resize(static_cast<Eigen::Index>(count));
+  for (std::size_t i = 0; i < count; ++i) {
+    const PersistentContact& before =
+        held_piece_ != nullptr ? held_piece_->held->contacts[i] : step_->contacts[i].before;
+    dmu[static_cast<Eigen::Index>(i)] = before.mu > 0.0 ? d.mu(before.point.guard, column) : 0.0;
   }
   return dmu;
 }
 
-void check_contact_end(const ContactStepRecord& step, double rate) {
+void check_end_rate(const Piece& piece, bool by_force, double rate) {
   if (std::abs(rate) > 0.0) return;
-  throw NoDerivative({step.ending == ContactStepEnd::kRelease ? "release" : "stick", -1, step.t + step.h},
-                     "The end of a contact is grazing", "a slip or a force that falls to zero", "one that stays",
-                     "Start elsewhere");
+  throw NoDerivative({by_force ? "release" : "stick", -1, piece.t + piece.h}, "The end of a contact is grazing",
+                     "a slip or a force that falls to zero", "one that stays", "Start elsewhere");
+}
+
+bool ends_by_force(const RecordedRun& run, const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs,
+                   Integrator& masses, EndForce& force) {
+  const HeldStepEnd ending = piece.held->ending;
+  if (piece.end != PieceEnd::kLength || (ending != HeldStepEnd::kRelease && ending != HeldStepEnd::kSlip)) return false;
+  try {
+    check_forces_in_time(force.scene().tree, run, masses, piece);
+    force.take(step.phase_end(run.dt), inputs.tau(), inputs.servo());
+  } catch (const NoDerivative&) {
+    return false;
+  }
+  return true;
 }
 
 // The end of a piece where a contact changes without an impact: a slip comes to rest, or a force to zero.
-void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
-  const bool releases = step_->ending == ContactStepEnd::kRelease;
+void ContactPieces::end(bool by_force, const RunDirections& d, RunColumns& columns) {
   VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
   solve_length(fq, fp);
-  double rate = tangent_.slip_change();
-  if (releases) {
-    release_.take(*step_, inputs_->tau(), inputs_->servo());
-    rate = release_.rate(fq, fp);
-  }
-  check_contact_end(*step_, rate);
+  const double rate = by_force                 ? force_.rate(fq, fp)
+                      : held_piece_ != nullptr ? held_->slip_changes()[0]
+                                               : tangent_.slip_change();
+  check_end_rate(*piece_, by_force, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {
-    const VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    if (held_piece_ != nullptr) inputs_->mask(tau);
     double change = slip_[k];
-    if (releases) change = release_.change(columns.q.col(k), columns.p.col(k), tau, friction_change(d, k));
-    if (releases && d.parameter(k) != nullptr) change += release_.change(*d.parameter(k));
+    if (by_force) change = force_.change(columns.q.col(k), columns.p.col(k), tau, friction_change(d, k));
+    if (by_force && d.parameter(k) != nullptr) change += force_.change(*d.parameter(k));
     later[k] = -change / rate;
   }
   columns.move_on(later, fq, fp);
@@ -219,6 +263,9 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
 void ContactPieces::keep_anchors(const RunColumns& columns) {
   if (held_piece_ != nullptr) {
     anchors_ = std::move(held_anchors_);
+    const std::vector<FrictionJoint>& joints = held_piece_->held->joints;
+    for (std::size_t j = 0; j < joints.size(); ++j)
+      if (joints[j].sticks) joint_anchors_.row(static_cast<Eigen::Index>(j)) = columns.q.row(joints[j].dof);
     return;
   }
   if (dense_step_ != nullptr) {  // contacts stick without an anchor after it

@@ -6,9 +6,10 @@
 
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/dense_step_tangent.hpp"
+#include "sensitivity/end_force.hpp"
+#include "sensitivity/event_hit.hpp"
 #include "sensitivity/held_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
-#include "sensitivity/release_force.hpp"
 #include "sensitivity/run_directions.hpp"
 
 namespace contactvi {
@@ -23,8 +24,12 @@ struct DenseStepReport {
 // Throws NoDerivative for a piece with persistent contacts that has no derivative: a dense step that was not kept, or
 // one beside an implicit impact map.
 void check_contact_piece(const RecordedRun& run, const Piece& piece);
-// Throws NoDerivative where what ends a step, a slip or a force, does not change with time.
-void check_contact_end(const ContactStepRecord& step, double rate);
+// Throws NoDerivative where what ends a piece, a slip or a force, does not change with time.
+void check_end_rate(const Piece& piece, bool by_force, double rate);
+// Whether a held step ends at the zero of a force whose time has a derivative; force takes it. Else that time counts as
+// given: the forces are continuous there, so that the error is one like that of the step.
+bool ends_by_force(const RecordedRun& run, const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs,
+                   Integrator& masses, EndForce& force);
 // Throws NoDerivative for a contact that sticks without having come to stick in the run.
 [[noreturn]] void refuse_sticking_start(const ContactPoint& point, double time);
 
@@ -59,18 +64,22 @@ class ContactPieces {
 
   std::vector<Anchor> held_anchors(const RunColumns& columns) const;
   const Anchor* anchor_of(const ContactPoint& point) const;
-  void end(const RunDirections& directions, RunColumns& columns);
+  void check_rests(const std::vector<VecX>& slips, const std::vector<VecX>& sizes);
+  void end(bool by_force, const RunDirections& directions, RunColumns& columns);
   void move_dense(const RunDirections& directions, RunColumns& columns);
   void move_held(const RunDirections& directions, RunColumns& columns);
   VecX friction_change(const RunDirections& directions, Eigen::Index column) const;
 
   const Scene* scene_;
   const RecordedRun* run_;
+  Integrator masses_;
   ContactStepTangent tangent_;
   std::unique_ptr<DenseStepTangent> dense_;  // made for the first dense step
   std::unique_ptr<HeldStepTangent> held_;    // and for the first held one
   bool take_branch_;
-  ReleaseForce release_;
+  EndForce force_;
+  bool force_ends_ = false;  // the held step that was taken
+  const Piece* piece_ = nullptr;
   const ContactStepRecord* step_ = nullptr;
   const DenseStepRecord* dense_step_ = nullptr;
   const Piece* held_piece_ = nullptr;  // one of the three

@@ -252,13 +252,25 @@ void dense_fields(Archive& a, Step& s) {
   a.whole(s.keeps_energy);
 }
 
+template <class Archive, class Joint>
+void friction_joint_fields(Archive& a, Joint& j) {
+  a.whole(j.dof);
+  a.whole(j.iq);
+  for (auto* x : {&j.limit, &j.heading}) a.number(*x);
+  a.whole(j.sticks);
+}
+
 template <class Archive, class Step>
 void held_fields(Archive& a, Step& s) {
   for (auto* x : {&s.t, &s.h}) a.number(*x);
   for (auto* x : {&s.q0, &s.p0, &s.v1}) a.sized(*x);
-  for (auto* x : {&s.rates, &s.lambda}) a.sized(*x);
+  for (auto* x : {&s.rates, &s.lambda, &s.angles}) a.sized(*x);
   a.list_size(s.contacts);
   for (auto& c : s.contacts) persistent_fields(a, c);
+  a.list_size(s.joints);
+  for (auto& joint : s.joints) friction_joint_fields(a, joint);
+  a.whole(s.ending);
+  a.whole(s.ended);
 }
 
 bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
@@ -396,19 +408,40 @@ class DenseCheck {
   const DenseStepRecord& s_;
 };
 
+// Whether what ended the step did before it what ends there.
+bool end_fits(const HeldStepRecord& s) {
+  const std::size_t contacts = s.contacts.size();
+  if (s.ending == HeldStepEnd::kGiven) return s.ended == -1;
+  if (!within(s.ended, contacts + s.joints.size())) return false;
+  const auto number = static_cast<std::size_t>(s.ended);
+  if (number >= contacts) {
+    const bool slips = s.ending == HeldStepEnd::kSlip, rests = s.ending == HeldStepEnd::kRest;
+    return s.joints[number - contacts].sticks ? slips : rests;
+  }
+  const PersistentContact& c = s.contacts[number];
+  if (s.ending == HeldStepEnd::kRest) return c.slides();
+  return s.ending == HeldStepEnd::kRelease || (s.ending == HeldStepEnd::kSlip && c.mu > 0.0 && c.sticks);
+}
+
 bool belongs(const Scene& scene, const HeldStepRecord& s) {
   const Tree& tree = scene.tree;
   const Eigen::Index stages = s.rates.cols();
-  Eigen::Index rows = tree.elements.constraint_rows;
+  Eigen::Index rows = tree.elements.constraint_rows, slides = 0;
   for (const PersistentContact& c : s.contacts) {
     if (!belongs(scene, c.point) || !(c.mu >= 0.0)) return false;
-    if (c.mu > 0.0 && !c.sticks) return false;
     if (c.keeps_place() && c.point.kind != PointKind::kVertex) return false;
-    rows += c.rows();
+    rows += c.slides() ? 1 : c.rows();
+    slides += c.slides() ? 1 : 0;
   }
+  for (const FrictionJoint& joint : s.joints) {
+    if (!within(joint.dof, static_cast<std::size_t>(tree.nv)) || joint.iq < -1 || joint.iq >= tree.nq) return false;
+    if (!(joint.limit >= 0.0)) return false;
+    rows += joint.sticks ? 1 : 0;
+  }
+  if (!end_fits(s)) return false;
   return s.h > 0.0 && s.q0.size() == tree.nq && s.p0.size() == tree.nv && s.v1.size() == tree.nv &&
          s.rates.rows() == tree.nv && stages >= 1 && stages <= kMaxStages && s.lambda.cols() == stages + 1 &&
-         s.lambda.rows() == rows;
+         s.lambda.rows() == rows && s.angles.rows() == slides && (slides == 0 || s.angles.cols() == stages + 1);
 }
 }  // namespace
 

@@ -1,5 +1,7 @@
 #include "sensitivity/held_node.hpp"
 
+#include <cmath>
+
 namespace contactvi {
 
 HeldNode::HeldNode(const Scene& scene)
@@ -9,55 +11,108 @@ HeldNode::HeldNode(const Scene& scene)
       scene_(&scene),
       bend_(scene.tree.nv, scene.tree.nv) {}
 
-bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda,
-                    const std::vector<PersistentContact>& contacts, PersistentRows& phase, int number) {
-  const Eigen::Index n = bend_.rows(), fixed = constraints_.rows(), held = phase.count();
+bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda, const VecX& angles, const VecX& load,
+                    const HeldStepRecord& step, PersistentRows& phase, int number) {
+  const Eigen::Index n = bend_.rows(), fixed = constraints_.rows(), rows = fixed + phase.count(),
+                     slides = static_cast<Eigen::Index>(phase.slides().size());
   q_ = q;
   X_ = X;
   chart_.take(X);
   constraints_.take(q, t);
   twists_.place(q);
-  gradients_.resize(n, fixed + held);
-  gradients_.leftCols(fixed) = constraints_.gradients();
-  VecX phi(held);
-  MatX none(n, 0);
-  phase.place(number, q, phi, gradients_.rightCols(held), none);
-  rates_.setZero(fixed + held);
+  VecX phi(phase.count());
+  MatX W(n, phase.count()), T(n, 2 * slides);
+  phase.place(number, q, phi, W, T);
+  rates_.setZero(rows);
   rates_.head(fixed) = constraints_.rates();
-  accelerations_.setZero(fixed + held);
+  accelerations_.setZero(rows);
   accelerations_.head(fixed) = constraints_.accelerations();
-  while (contacts_.size() < contacts.size()) contacts_.emplace_back(*scene_);
+  // Beside its normal a sliding contact has two columns that are no rows: its tangents.
+  columns_.resize(n, rows + 2 * slides);
+  columns_.leftCols(fixed) = constraints_.gradients();
+  column_of_.clear();
+  for (int r = 0; r < fixed; ++r) column_of_.push_back(r);
+  int column = static_cast<int>(fixed), row = 0;
+  const auto add_row = [&] {
+    columns_.col(column) = W.col(row++);
+    column_of_.push_back(column++);
+  };
   first_.clear();
   count_.clear();
+  for (std::size_t i = 0; i < step.contacts.size(); ++i) {
+    first_.push_back(column);
+    count_.push_back(step.contacts[i].rows());
+    add_row();
+    if (const int j = phase.slide(i); j >= 0) {
+      columns_.middleCols<2>(column) = T.middleCols<2>(2 * j);
+      column += 2;
+    } else if (count_.back() == 3) {
+      add_row();
+      add_row();
+    }
+  }
+  while (row < phase.count()) add_row();
+  if (!take_contacts(step.contacts, phase, number)) return false;
+  combine(lambda, angles, phase);
+  set_displacements(step.contacts);
+  force_ = columns_ * weights_ + load;
+  for (Eigen::Index k = 0; k < n; ++k) {
+    change(VecX::Unit(n, k));
+    bend_.col(k) = change_ * weights_;
+  }
+  return true;
+}
+
+bool HeldNode::take_contacts(const std::vector<PersistentContact>& contacts, const PersistentRows& phase, int number) {
+  while (contacts_.size() < contacts.size()) contacts_.emplace_back(*scene_);
   t1_.clear();
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const PersistentRows::Site& site = phase.site(number, i);
     const ContactPoint& point = contacts[i].point;
-    if (!contacts_[i].take(q, point.guard, site.contact, &point)) {
+    if (!contacts_[i].take(q_, point.guard, site.contact, &point)) {
       why_ = contacts_[i].why();
       refused_ = point.guard;
       return false;
     }
-    first_.push_back(static_cast<int>(fixed) + phase.row(i));
-    count_.push_back(contacts[i].rows());
     t1_.push_back(site.t1);
   }
-  set_displacements(contacts);
-  force_ = gradients_ * lambda;
-  for (Eigen::Index k = 0; k < n; ++k) {
-    change(VecX::Unit(n, k));
-    bend_.col(k) = change_ * lambda;
-  }
   return true;
+}
+
+void HeldNode::combine(const VecX& lambda, const VecX& angles, const PersistentRows& phase) {
+  const auto rows = static_cast<Eigen::Index>(column_of_.size()), slides = angles.size(), all = columns_.cols();
+  watch_.setZero(all, rows + slides);
+  lead_.setZero(all, slides);
+  for (Eigen::Index r = 0; r < rows; ++r) watch_(column_of_[static_cast<std::size_t>(r)], r) = 1.0;
+  give_ = watch_;
+  MatX by_friction = MatX::Zero(all, slides);
+  for (std::size_t i = 0; i < first_.size(); ++i) {
+    const int j = phase.slide(i), normal = first_[i];
+    if (j < 0) continue;
+    const Eigen::Index r = constraints_.rows() + phase.row(i);
+    const double mu = phase.slides()[static_cast<std::size_t>(j)].mu;
+    const Eigen::Vector2d d(std::cos(angles[j]), std::sin(angles[j])), across(-d[1], d[0]);
+    lead_.block<2, 1>(normal + 1, j) = d;
+    watch_.block<2, 1>(normal + 1, rows + j) = across;
+    give_.block<2, 1>(normal + 1, r) = -mu * d;
+    give_.block<2, 1>(normal + 1, rows + j) = -mu * lambda[r] * across;
+    by_friction.block<2, 1>(normal + 1, j) = -lambda[r] * d;
+  }
+  weights_ = give_.leftCols(rows) * lambda;
+  gradients_ = columns_ * watch_.leftCols(rows);
+  watched_ = columns_ * watch_;
+  along_ = columns_ * lead_;
+  given_ = columns_ * give_;
+  by_friction_ = columns_ * by_friction;
 }
 
 // The displacement of a material point counts along tangents that are fixed to its plane.
 void HeldNode::set_displacements(const std::vector<PersistentContact>& contacts) {
   displacements_ = gradients_.transpose();
-  for (std::size_t i = 0; i < contacts.size(); ++i) {
-    if (!contacts[i].keeps_place()) continue;
-    const int r = first_[i];
-    displacements_.middleRows(r + 1, 2) = tangents(contacts[i]) * place_change(contacts[i].point);
+  Eigen::Index r = constraints_.rows();
+  for (const PersistentContact& c : contacts) {
+    if (c.keeps_place()) displacements_.middleRows(r + 1, 2) = tangents(c) * place_change(c.point);
+    r += c.slides() ? 1 : c.rows();
   }
 }
 
@@ -81,22 +136,38 @@ MatX HeldNode::place_change(const ContactPoint& point) {
   return found;
 }
 
-// Sets change_ to that of the gradients along dq. How tangents turn about the normal changes no motion where all three
-// components of an impulse are free.
+MatX HeldNode::frame_turns(const std::vector<PersistentContact>& contacts, const PersistentRows& phase) {
+  const Eigen::Index n = bend_.rows();
+  MatX found = MatX::Zero(lead_.cols(), n);
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const int j = phase.slide(i);
+    if (j < 0 || contacts[i].point.kind != PointKind::kVertex) continue;
+    for (Eigen::Index k = 0; k < n; ++k) {
+      twists_.move(VecX::Unit(n, k));
+      found(j, k) = twists_.turn(contacts[i].point.plane_body).dot(contacts_[i].contact().normal);
+    }
+  }
+  return found;
+}
+
+// Sets change_ to that of the columns along dq. How tangents turn about the normal changes no motion where all three
+// components of an impulse are free, or the direction of the slip is.
 void HeldNode::change(const VecX& dq) {
-  change_.resize(gradients_.rows(), gradients_.cols());
+  change_.setZero(columns_.rows(), columns_.cols());
   constraints_.change(dq, change_.leftCols(constraints_.rows()));
   for (std::size_t i = 0; i < first_.size(); ++i)
     contacts_[i].change(dq, t1_[i], change_.middleCols(first_[i], count_[i]));
 }
 
-MatX HeldNode::speed_change(const VecX& v) {
-  MatX found(rows(), v.size());
+void HeldNode::change_speeds(const VecX& v, MatX& watched, MatX& along) {
+  watched.resize(watch_.cols(), v.size());
+  along.resize(lead_.cols(), v.size());
   for (Eigen::Index k = 0; k < v.size(); ++k) {
     change(VecX::Unit(v.size(), k));
-    found.col(k) = change_.transpose() * v;
+    const VecX speeds = change_.transpose() * v;
+    watched.col(k) = watch_.transpose() * speeds;
+    along.col(k) = lead_.transpose() * speeds;
   }
-  return found;
 }
 
 }  // namespace contactvi

@@ -1,7 +1,13 @@
 // The rows of a held step at one of its nodes, and how they change with the configuration there: those of the
-// constraints, then those of the contacts (contact/persistent_rows.hpp), of which none slides with friction.
+// constraints, then those of the contacts and of the joints with friction that stick (contact/persistent_rows.hpp).
+//
+// All of them are combinations of columns: the gradients of the constraints, those of the normal and of both tangents
+// of each contact, and those of the joints. A row has an impulse, which acts along its column, but that of a sliding
+// contact along n - mu d, d the direction of its slip. This is an angle between its tangents, which acts as well: a
+// turn of it by -mu times the impulse, across the slip.
 #pragma once
 
+#include "contact/held_step_record.hpp"
 #include "contact/persistent_rows.hpp"
 #include "geometry/contact_tangent.hpp"
 #include "model/constraint_tangent.hpp"
@@ -13,23 +19,31 @@ class HeldNode {
  public:
   explicit HeldNode(const Scene& scene);
 
-  // The rows at q and t [s], at the displacement X from the start of the step, with impulses lambda (rows,). phase: set
-  // to the contacts of the step; number: of the node, or of a stage, among its places. False where the gap of a contact
-  // has no second derivative; why() says it.
-  bool take(const VecX& q, double t, const VecX& X, const VecX& lambda, const std::vector<PersistentContact>& contacts,
-            PersistentRows& phase, int number);
+  // The rows at q and t [s], at the displacement X from the start of the step, with impulses lambda (rows,) along them
+  // and of constant forces load (nv,), and the angles (slides,) of the slips. phase: set to the contacts and joints of
+  // the step; number: of the node, or of a stage, among its places. False where the gap of a contact has no second
+  // derivative; why() says it.
+  bool take(const VecX& q, double t, const VecX& X, const VecX& lambda, const VecX& angles, const VecX& load,
+            const HeldStepRecord& step, PersistentRows& phase, int number);
   const char* why() const { return why_; }
   int refused() const { return refused_; }  // guard of that contact
   int rows() const { return static_cast<int>(gradients_.cols()); }
-  const VecX& displacement() const { return X_; }
   const VecX& configuration() const { return q_; }
   const NodeChart& chart() const { return chart_; }
-  // W (nv, rows), W lambda, and d(W lambda)/dq.
+  // Gradients W of the rows, (nv, rows); and of the speeds that are zero, (nv, rows + slides): of the rows, and of the
+  // slips across their directions. Those of the slips along them, (nv, slides).
   const MatX& gradients() const { return gradients_; }
+  const MatX& watched() const { return watched_; }
+  const MatX& along() const { return along_; }
+  // The force of all impulses, (nv,); what it changes by with the impulses and the angles, (nv, rows + slides), with
+  // the coefficients of friction, (nv, slides), and with the configuration.
   const VecX& force() const { return force_; }
+  const MatX& given() const { return given_; }
+  const MatX& by_friction() const { return by_friction_; }
   const MatX& force_change() const { return bend_; }
-  // d(W^T v)/dq at a constant v, (rows, nv).
-  MatX speed_change(const VecX& v);
+  // Derivatives by the configuration, at a constant v, of the speeds that are zero, (rows + slides, nv), and of those
+  // along the slips, (slides, nv).
+  void change_speeds(const VecX& v, MatX& watched, MatX& along);
   // Derivatives of the rows' displacements: by the configuration, (rows, nv); by time at a fixed one, (rows,), of which
   // only constraints have any, and again by time.
   const MatX& displacements() const { return displacements_; }
@@ -39,8 +53,13 @@ class HeldNode {
   // there along which its displacement counts, (2, 3).
   MatX place_change(const ContactPoint& point);
   static Eigen::Matrix<double, 2, 3> tangents(const PersistentContact& contact);
+  // By how much the tangents of sliding contacts turn about their normals with the configuration, where they are fixed
+  // to a plane, (slides, nv): no other derivative here has that.
+  MatX frame_turns(const std::vector<PersistentContact>& contacts, const PersistentRows& phase);
 
  private:
+  bool take_contacts(const std::vector<PersistentContact>& contacts, const PersistentRows& phase, int number);
+  void combine(const VecX& lambda, const VecX& angles, const PersistentRows& phase);
   void set_displacements(const std::vector<PersistentContact>& contacts);
   void change(const VecX& dq);
 
@@ -49,10 +68,15 @@ class HeldNode {
   BodyTwists twists_;
   std::vector<ContactTangent> contacts_;
   const Scene* scene_;
-  std::vector<int> first_, count_;  // rows of each contact
+  std::vector<int> first_, count_;  // columns of each contact
+  std::vector<int> column_of_;      // of each row
   std::vector<Vec3> t1_;
   VecX q_, X_, force_, rates_, accelerations_;
-  MatX gradients_, displacements_, bend_, change_;
+  MatX columns_, change_;  // and their change along a direction
+  // Weights of the columns, for what is named like them.
+  MatX watch_, give_, lead_;
+  VecX weights_;  // of the force
+  MatX gradients_, watched_, along_, given_, by_friction_, displacements_, bend_;
   const char* why_ = "";
   int refused_ = -1;
 };

@@ -2,8 +2,8 @@
 
 namespace contactvi {
 
-HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages, int contact_points)
-    : tangent_(scene, stages, contact_points), adjoint_(scene.tree, stages), lend_(2 * scene.tree.nv) {}
+HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages, int contact_points, bool take_branch)
+    : tangent_(scene, stages, contact_points, take_branch), adjoint_(scene.tree, stages) {}
 
 void HeldStepAdjoint::take(const HeldStepRecord& step, const VecX& tau, const Servo* servo) {
   tangent_.take(step, tau, servo);
@@ -20,56 +20,90 @@ void HeldStepAdjoint::take(const HeldStepRecord& step, const VecX& tau, const Se
   by_tau_ = columns(n, d, [&](int k) -> double& { return d.tau[k]; });
   d.anchors = MatX::Zero(3, contacts);
   by_anchors_ = columns(3 * contacts, d, [&](int k) -> double& { return d.anchors(k % 3, k / 3); });
+  d.mu = VecX::Zero(contacts);
+  by_mu_ = columns(contacts, d, [&](int k) -> double& { return d.mu[k]; });
+  by_start_ = turn_columns();
 }
 
 template <class Entry>
-HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, const ContactStepDirection& direction, Entry entry) {
+HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, ContactStepDirection& direction, Entry entry) {
   HeldStepTangent& t = tangent_;
-  Columns found{MatX(t.unknowns(), count), MatX(2 * t.nv_, count)};
-  const VecX none = VecX::Zero(t.unknowns());
+  Columns found{MatX(t.unknowns(), count), MatX(t.end_size(), count)};
+  const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
   for (int k = 0; k < count; ++k) {
     entry(k) = 1.0;
-    t.assess(direction, none, found.off.col(k), found.ends.col(k).head(t.nv_), found.ends.col(k).tail(t.nv_));
+    t.assess(direction, none, t.start_turns(direction), size, found.off.col(k), found.ends.col(k));
     entry(k) = 0.0;
   }
   return found;
 }
 
-// The impulse at the end.
-void HeldStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& sums) {
+HeldStepAdjoint::Columns HeldStepAdjoint::turn_columns() {
   HeldStepTangent& t = tangent_;
-  HeldNode& end = t.nodes_.back();
-  const HeldStepRecord& s = *t.record_;
-  const VecX& q1 = end.configuration();
-  VecX lq_mass(t.nv_), lv(t.nv_);
-  const VecX lfaster = t.end_system_.solve_transposed(end.gradients().transpose() * lp);
-  const VecX m = t.MinvW_ * lfaster, lp_before = lp + m;
-  adjoint_.momentum(q1, s.v1, -m, lq_mass, lv);
-  adjoint_.add_momentum_parameters(q1, s.v1, -m, sums);
-  lend_.head(t.nv_) =
-      lq + lq_mass + end.force_change().transpose() * lp_before + end.speed_change(s.v1).transpose() * lfaster;
-  lend_.tail(t.nv_) = lp_before;
-  lt_ = lh_ = end.accelerations().dot(lfaster);
+  Columns found{MatX(t.unknowns(), t.slides_), MatX(t.end_size(), t.slides_)};
+  const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
+  const ContactStepDirection nothing;
+  for (int j = 0; j < t.slides_; ++j)
+    t.assess(nothing, none, VecX::Unit(t.slides_, j), size, found.off.col(j), found.ends.col(j));
+  return found;
 }
 
-bool HeldStepAdjoint::solve(const VecX& lq, const VecX& lp, ContactStepGradient& g, StepParameters& sums) {
+// From the gradient in the end to that in the end before its impulse.
+void HeldStepAdjoint::pass_end(const VecX& lend, const VecX& mu, StepParameters& sums, VecX& lq, VecX& lp) {
+  HeldStepTangent& t = tangent_;
+  const HeldStepRecord& s = *t.record_;
+  const HeldNode& end = t.nodes_.back();
+  const VecX lslips = lend.tail(t.rest_speeds_.cols());
+  lq = lend.head(t.nv_) + t.rest_changes_.transpose() * lslips;
+  lp = lend.segment(t.nv_, t.nv_);
+  VecX lv = t.rest_speeds_ * lslips;
+  if (t.turns() > 0) {
+    const VecX lrate = t.slips_by_rate(t.raised_.rate_by_end, t.raised_.moved_by_end).transpose() * mu.tail(t.turns());
+    lv += end.chart().rate_transposed(lrate);
+  }
+  t.masses_.solve_mass(lv);
+  VecX lfaster = t.end_system_.solve_transposed(end.given().transpose() * (lp + lv));
+  lfaster(t.undirected_).setZero();
+  const VecX lheavier = -lv - t.MinvC_ * lfaster;
+  lp -= lheavier;
+  adjoint_.add_momentum_parameters(end.configuration(), s.v1, lheavier, sums);
+  lq += t.end_mass_change_.transpose() * lheavier + t.end_watched_.transpose() * lfaster +
+        end.force_change().transpose() * lp;
+}
+
+// From the gradients in the directions at the start to those in what the velocity there depends on besides the state.
+void HeldStepAdjoint::pass_start(VecX lturns, const VecX& mu, StepParameters& sums) {
+  HeldStepTangent& t = tangent_;
+  t.slip_start_.pass(lturns, sums);
+  VecX lv = t.slips_by_rate(t.raised_.rate_by_start, t.raised_.moved_by_start).transpose() * mu.tail(t.turns());
+  for (int j = 0; j < t.slides_; ++j)
+    if (lturns[j] != 0.0) lv += (lturns[j] / t.start_slips_[j]) * t.nodes_[0].watched().col(t.rows_ + j);
+  adjoint_.add_momentum_parameters(t.record_->q0, t.v0_, -(t.inverse_start_ * lv), sums);
+}
+
+bool HeldStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, ContactStepGradient& g,
+                            StepParameters& sums) {
   constexpr int kPasses = 3;  // the first solves, the others take the rounding off
   const HeldStepTangent& t = tangent_;
-  pass_end(lq, lp, sums);
-  const VecX by_unknowns = t.ends_.transpose() * lend_;
+  VecX lend = VecX::Zero(t.end_size()), lq_before, lp_before;
+  lend.head(2 * t.nv_) << lq, lp;
+  if (t.rest_speeds_.cols() > 0) lend[2 * t.nv_] = lslip;
+  const VecX by_unknowns = t.ends_.transpose() * lend;
   VecX mu = t.solve_transposed(by_unknowns);
   for (int pass = 1; pass < kPasses; ++pass) mu += t.solve_transposed(by_unknowns + t.matrix_.transpose() * mu);
   const auto part = [&](const Columns& columns) -> VecX {
-    return columns.off.transpose() * mu + columns.ends.transpose() * lend_;
+    return columns.off.transpose() * mu + columns.ends.transpose() * lend;
   };
   g.q = part(by_q_);
   g.p = part(by_p_);
   g.tau = part(by_tau_);
   g.anchors = part(by_anchors_).reshaped(3, by_anchors_.off.cols() / 3);
-  g.t = lt_ + part(by_t_)[0];
-  g.h = lh_ + part(by_h_)[0];
-  adjoint_.take_multipliers(mu.head(t.stage_unknowns()).reshaped(t.nv_, t.stages_), lend_.head(t.nv_),
-                            lend_.tail(t.nv_));
+  g.mu = part(by_mu_);
+  g.t = part(by_t_)[0];
+  g.h = part(by_h_)[0];
+  if (t.slides_ > 0) pass_start(part(by_start_), mu, sums);
+  pass_end(lend, mu, sums, lq_before, lp_before);
+  adjoint_.take_multipliers(mu.head(t.stage_unknowns()).reshaped(t.nv_, t.stages_), lq_before, lp_before);
   adjoint_.add_parameters(sums);
   return mu.allFinite() && g.q.allFinite() && g.p.allFinite();
 }

@@ -1,36 +1,51 @@
 // The derivative of a smooth step of any order that keeps rows (step/stage_constraints.hpp): of its equations at their
 // solution.
 //
-// Unknown are the changes dU of the chart rates at the stages and dLambda of the impulses at all nodes but the last.
-// The stage equations along them are StepTangent's, with the changes of the impulses
-//   d(W_k Lambda_k) = W_k dLambda_k + (dW_k . dq_k) Lambda_k,   dq_k the change of the configuration at node k,
-// and beside them stand the rows, W_k^T dq_k + (d phi/dt) dt_k = 0 at the nodes after the first. What the rows of
-// contacts are off by at the start goes within the step, as the step has it; where a material point sticks its
-// displacement counts from an anchor, or from the start. Rows of surfaces that roll stand at the stages instead,
-// W_i^T dv_i + (dW_i . dq_i)^T v_i = 0. As a matrix
-//   [A B; C 0] (dU, dLambda) + (right sides) = 0,
-// made column by column, it is solved by a factor of A and one of C A^-1 B, in which rows may depend on each other. The
-// impulse at the end follows from the velocities of the rows there.
+// Unknown are the changes dU of the chart rates at the stages, dLambda of the impulses at all nodes but the last, and
+// of the directions in which contacts slide at the nodes between both ends. The stage equations along them are
+// StepTangent's, with the changes of the forces F_k Lambda_k at the nodes (held_node.hpp),
+//   d(F_k Lambda_k) = F_k dLambda_k + (dF_k / ddirection) Lambda_k ddirection + (dF_k . dq_k) Lambda_k,
+// dq_k the change of the configuration at node k. Beside them stand the rows, W_k^T dq_k + (d phi/dt) dt_k = 0 at the
+// nodes after the first. What the rows of contacts are off by at the start goes within the step, as the step has it;
+// where a material point sticks its displacement counts from an anchor, or from the start, that of a joint from the
+// start. Rows of surfaces that roll, and of joints without a coordinate, stand at the stages instead,
+// W_i^T dv_i + (dW_i . dq_i)^T v_i = 0. And the slips across their directions stay zero, of the path that is raised by
+// the velocities at both ends (step/raised_nodes.hpp). As a matrix
+//   [A B; C D] (dU, dLambda and directions) + (right sides) = 0,
+// made column by column, it is solved by a factor of A and one of D - C A^-1 B, in which rows may depend on each other.
+// The velocity at the end, and the impulse and the directions there, follow from all that is before it, by the rows and
+// slips there; they are functions in these equations. The direction at the start is that of the slip there, or where it
+// begins (slip_start.hpp).
 #pragma once
 
 #include <Eigen/LU>
 
 #include "contact/held_step_record.hpp"
 #include "sensitivity/contact_step_tangent.hpp"
+#include "sensitivity/end_force.hpp"
 #include "sensitivity/held_node.hpp"
+#include "sensitivity/slip_start.hpp"
+#include "step/raised_nodes.hpp"
 #include "step/step_tangent.hpp"
 
 namespace contactvi {
 
 class HeldStepTangent {
  public:
-  // contact_points: of a pair, at most.
-  HeldStepTangent(const Scene& scene, int stages, int contact_points);
+  // contact_points: of a pair, at most. take_branch: whether slips that begin at rest count as going on along their
+  // directions where a direction moves what rests; else that is an obstacle.
+  HeldStepTangent(const Scene& scene, int stages, int contact_points, bool take_branch);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const HeldStepRecord& step, const VecX& tau, const Servo* servo);
   // The derivative of (q1, p1), (nv,) each.
   void solve(const ContactStepDirection& direction, VecRef dq1, VecRef dp1);
+  // Of the last direction: those of the slips that come to rest at the end, the first of which ended the step [m/s;
+  // rad/s]; and the sizes of their terms.
+  const VecX& slip_changes() const { return slip_changes_; }
+  const VecX& slip_sizes() const { return slip_sizes_; }
+  // Its end, which a force ends; nominal: length of a nominal step [s].
+  PhaseEnd phase_end(double nominal);
   // Of a contact's material point: the derivative, by q0, of its place in the frame of the plane's body, (3, nv).
   MatX start_place_change(std::size_t contact) { return nodes_[0].place_change(record_->contacts[contact].point); }
 
@@ -43,19 +58,39 @@ class HeldStepTangent {
   int first_guard() const;  // of its contacts; -1: it has none
   void place_nodes();
   void give_impulses();
-  void make_matrix();
+  void take_start(const VecX& tau, const Servo* servo);
   void take_end();
+  void take_rests();
+  void take_slips();
+  void make_matrix();
   int stage_unknowns() const { return nv_ * stages_; }
-  int unknowns() const { return stage_unknowns() + rows_ * stages_; }
+  int turns() const { return slides_ * (stages_ - 1); }
+  int unknowns() const { return stage_unknowns() + rows_ * stages_ + turns(); }
   int held() const { return rows_ - fixed_; }
-  // The impulses of a node among the unknowns x, or the equations of the node after it: (rows,).
-  VecX of_node(const VecX& x, int node) const;
+  Eigen::Index end_size() const { return 2 * nv_ + rest_speeds_.cols(); }
+  int turns_at(int node) const { return stage_unknowns() + rows_ * stages_ + (node - 1) * slides_; }
+  // The impulses of a node among the unknowns x, with the directions there, (rows + slides,); start: those of the
+  // first.
+  VecX of_node(const VecX& x, int node, const VecX& start) const;
+  // The equations of the rows at the node after it: (rows,).
   void set_node(VecRef x, int node, const VecX& values) const;
-  VecX row_sizes(const ContactStepDirection& direction, double length) const;
+  VecX start_sizes(const ContactStepDirection& direction) const;
+  VecX speed_sizes(const ContactStepDirection& direction, const MatX& C, const MatX& MinvC) const;
   VecX anchor_changes(const ContactStepDirection& direction, const VecX& start) const;
-  // What the equations are off by along a direction with changes x of the unknowns, (unknowns,), and how the end
-  // changes with them before its impulse.
-  void assess(const ContactStepDirection& direction, const VecX& x, VecRef off, VecRef dq1, VecRef dp1);
+  VecX friction_changes(const ContactStepDirection& direction) const;
+  VecX force_change(int node, const ContactStepDirection& direction, const VecX& dq, const VecX& impulses) const;
+  void check_start(const ContactStepDirection& direction);
+  VecX start_velocity_change(const ContactStepDirection& direction);
+  VecX start_turns(const ContactStepDirection& direction);
+  // Along a direction and with changes x of the unknowns, (unknowns,): what the equations are off by, and what the end
+  // (q1, p1) changes by, with the slips that come to rest there, (end_size,). start: changes of the directions at the
+  // start. False where the impulse at the end does not exist; size: of the terms of its equations.
+  bool assess(const ContactStepDirection& direction, const VecX& x, const VecX& start, const VecX& size, VecRef off,
+              VecRef end);
+  bool add_end_impulse(const ContactStepDirection& direction, const VecX& size, VecRef end, VecX& dv1);
+  void assess_slips(const ContactStepDirection& direction, const VecX& x, const VecX& dv1, VecRef off);
+  // What the slips across the directions change by with the rate at the start, or at the end: (turns, nv).
+  MatX slips_by_rate(const VecX& rate_share, const VecX& moved_share) const;
   // x with matrix x + right = 0; and with its transpose.
   // size: of the terms of the equations of rows; agree: whether those that depend on each other do not contradict.
   VecX solve_matrix(const VecX& right, const VecX& size, bool& agree) const;
@@ -64,29 +99,53 @@ class HeldStepTangent {
   const Scene* scene_;
   const Tree* tree_;
   int nv_, stages_;
-  int fixed_, rows_ = 0;  // rows of the constraints, of all
+  bool take_branch_;
+  int fixed_, rows_ = 0, slides_ = 0;  // rows of the constraints, of all; contacts that slide
   const LobattoTable* table_;
+  RaisedNodes raised_;
   StepTangent step_;
-  Integrator masses_;
+  Integrator masses_;  // its node is at the end
   Guards guards_;
   PersistentRows phase_;
   const HeldStepRecord* record_ = nullptr;
-  std::vector<int> rolling_;  // rows of velocities
+  std::vector<int> rolling_;           // rows of velocities
+  std::vector<std::size_t> slide_of_;  // contact of each slide
   HeldNode at_stage_;
   std::vector<MatX> roll_W_, roll_change_;  // of these at each stage: W (nv, count), d(W^T v)/dq (count, nv)
   std::vector<HeldNode> nodes_;             // s + 1
   std::vector<NodeChart> charts_;           // of the stages
   MatX weights_, to_nodes_;     // h a_ij as [j, i]; h times displacements at the nodes of rates, [j, k], (s, s + 1)
+  VecX load_;                   // constant force of joints that slide
   VecX p_start_;                // with all impulses but the last one
   MatX velocities_, impulses_;  // at the stages, (nv, s)
+  MatX dX_, dX_nodes_;          // along the present direction
   StepDirection step_direction_;
-  // The matrix, and what a unit of each unknown changes the end by, (2 nv, unknowns).
+  // The start, where contacts slide: the velocity, the inverse mass matrix, d(M v)/dq, changes of the speeds that are
+  // zero and of those along the slips, and these.
+  VecX v0_;
+  MatX inverse_start_, start_mass_change_, start_watched_, start_along_;
+  VecX start_slips_;
+  SlipStart slip_start_;
+  // The end: d(M v)/dq, changes of the speeds, M^-1 of what is given and of what is watched there, the equations of the
+  // impulse and the directions.
+  MatX end_mass_change_, end_watched_, end_along_, MinvF_, MinvC_;
+  SharedLoad end_system_;
+  std::vector<int> undirected_;  // directions there that nothing determines
+  // Of the slips that come to rest there: gradients by the velocity, (nv, count), with M^-1 of these, and by the
+  // configuration, (count, nv).
+  MatX rest_speeds_, rest_changes_, MinvR_;
+  // At the nodes between, of the path raised: charts, rates, displacements, changes of the slips across, slips along.
+  VecX end_rate_;
+  std::vector<NodeChart> raised_charts_;
+  MatX raised_rates_, raised_X_, node_slips_;
+  std::vector<MatX> node_watched_;
+  // The matrix, and what a unit of each unknown changes the end by, (end_size, unknowns).
   MatX matrix_, ends_;
   Eigen::PartialPivLU<MatX> stage_factor_;
   MatX answers_;  // A^-1 B
-  SharedLoad row_system_, end_system_;
-  MatX MinvW_;  // at the end
-  VecX dp_mass_, none_;
+  SharedLoad row_system_;
+  VecX slip_changes_, slip_sizes_;
+  VecX none_;
 };
 
 }  // namespace contactvi

@@ -44,6 +44,20 @@ ContactStepRecord solve(const Scene& scene, const State& start, double h, const 
   return step.record();
 }
 
+// The joints with friction, as they stick and slide at the start of a run from there.
+std::vector<FrictionJoint> joints_at(const Scene& scene, Guards& guards, const State& start, const StepInputs& inputs,
+                                     Integrator& integrator) {
+  ContactStep step(scene, guards, guards.manifolds());
+  integrator.set_time(inputs.time);
+  integrator.set_servo(inputs.servo.any ? &inputs.servo : nullptr);
+  settle_joints(step.friction_joints(), start.q, start.v);
+  ContactStep::Forces forces;
+  if (!step.forces_at(integrator, start.q, start.v, inputs.time, inputs.tau, {}, forces))
+    throw Refusal("The step was not solved", "forces that satisfy the constraints", "none", "Use another start");
+  begin_joint_slips(step.friction_joints(), step.of_joints(forces.a), kBegins * forces.largest);
+  return step.friction_joints();
+}
+
 // All columns, by a tangent that has taken the step.
 template <class Tangent>
 LinearStep all_columns(const Tree& tree, Integrator& masses, const StateView& start, const StateView& end,
@@ -84,9 +98,20 @@ LinearStep linearize_contact_step(const Scene& scene, const VecX& q0, const VecX
 LinearStep linearize_held_step(const Scene& scene, const VecX& q0, const VecX& x0, StateKind kind, double h,
                                const StepInputs& inputs, int stages, double tol) {
   Integrator integrator(scene.tree, stages, tol, kStepIterations, true);
+  Guards guards(scene);
+  PersistentRows rows(guards, scene.tree.nv);
+  const std::vector<PersistentContact> none;
+  std::vector<FrictionJoint> joints;
+  if (!scene.tree.elements.friction_dofs.empty()) {
+    Integrator masses(scene.tree, 1, 1e-12, 1);
+    joints = joints_at(scene, guards, start_of(scene, masses, q0, x0, kind), inputs, integrator);
+    rows.set(none, joints, 2 * stages + 1);
+    integrator.hold(&rows);
+  }
   PublicStep step(scene.tree, q0, x0, kind, h, inputs, integrator);
-  const HeldStepRecord record = held_step_record(integrator, step.q0, step.p0);
-  HeldStepTangent tangent(scene, stages, 1);
+  HeldStepRecord record = held_step_record(integrator, step.q0, step.p0);
+  record.joints = joints;
+  HeldStepTangent tangent(scene, stages, 1, false);
   tangent.take(record, inputs.tau, integrator.servo());
   return all_columns(scene.tree, integrator, step.start(), step.end(), tangent);
 }

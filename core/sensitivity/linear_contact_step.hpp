@@ -12,7 +12,8 @@ namespace contactvi {
 LinearStep linearize_contact_step(const Scene& scene, const VecX& q0, const VecX& x0, StateKind kind, double h,
                                   const StepInputs& inputs);
 
-// As this, of a smooth step of more stages, without joint friction; tol: of the stage equations.
+// As this, of a smooth step of more stages; tol: of the stage equations. Joints with friction stick and slide all the
+// time as they do at its start.
 LinearStep linearize_held_step(const Scene& scene, const VecX& q0, const VecX& x0, StateKind kind, double h,
                                const StepInputs& inputs, int stages, double tol);
 

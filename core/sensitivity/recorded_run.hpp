@@ -34,7 +34,10 @@ struct Piece {
   // Whether other impulses act in it than those at its end.
   bool has_rows() const { return persistent || held != nullptr; }
 
-  bool ends_itself() const { return contact != nullptr && contact->ending != ContactStepEnd::kLength; }
+  bool ends_itself() const {
+    return held != nullptr ? held->ending == HeldStepEnd::kRest
+                           : contact != nullptr && contact->ending != ContactStepEnd::kLength;
+  }
 };
 
 struct RecordedImpact {

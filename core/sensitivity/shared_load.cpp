@@ -15,8 +15,9 @@ constexpr double kContradiction = 1e-8;  // residual of dependent rows, of the t
 constexpr double kRedundant = 1e-9, kZeroRow = 1e-20;
 }  // namespace
 
-void SharedLoad::compute(const MatX& A, int constraints) {
+void SharedLoad::compute(MatX A, int constraints, int turns) {
   constraints_ = constraints;
+  scale_turns(A, turns);
   if (A.size() == 0) {
     A_ = free_ = A;
     scale_.resize(0);
@@ -29,6 +30,7 @@ void SharedLoad::compute(const MatX& A, int constraints) {
     A_ = scale_.asDiagonal() * A;
     factor();
     free_ = svd_.matrixV().rightCols(A.cols() - rank_);
+    free_.bottomRows(turns) = turn_scale_.asDiagonal() * free_.bottomRows(turns);
     return;
   }
   eliminate(A);
@@ -40,6 +42,19 @@ void SharedLoad::compute(const MatX& A, int constraints) {
     free_.topLeftCorner(m, left) = -across_ * free_.bottomLeftCorner(rest, left);
   }
   if (redundant_) free_.topRightCorner(m, m) = MatX::Identity(m, m) - inverse_ * K;
+  free_.bottomRows(turns) = turn_scale_.asDiagonal() * free_.bottomRows(turns);
+}
+
+// A turn of one unit does as much as the largest impulse.
+void SharedLoad::scale_turns(MatX& A, int turns) {
+  turn_scale_.setOnes(turns);
+  const Eigen::Index others = A.cols() - turns;
+  const double largest = others > 0 && A.rows() > 0 ? A.leftCols(others).cwiseAbs().maxCoeff() : 1.0;
+  for (Eigen::Index k = 0; k < turns; ++k) {
+    const double size = A.col(others + k).cwiseAbs().maxCoeff();
+    if (size > 0.0 && largest > 0.0) turn_scale_[k] = largest / size;
+    A.col(others + k) *= turn_scale_[k];
+  }
 }
 
 void SharedLoad::factor() {
@@ -75,14 +90,18 @@ void SharedLoad::eliminate(const MatX& A) {
 }
 
 bool SharedLoad::solve(const VecX& c, const VecX& size, VecX& x) const {
-  if (constraints_ == 0) return solve_rest(c, size, x);
-  const Eigen::Index m = constraints_, rest = c.size() - m;
-  VecX last;
-  const bool agree =
-      solve_rest(c.tail(rest) - behind_ * c.head(m), size.tail(rest) + behind_.cwiseAbs() * size.head(m), last);
-  x.resize(c.size());
-  x.tail(rest) = last;
-  x.head(m) = -inverse_ * c.head(m) - across_ * last;
+  const Eigen::Index m = constraints_, rest = c.size() - m, turns = turn_scale_.size();
+  bool agree = true;
+  if (m == 0) {
+    agree = solve_rest(c, size, x);
+  } else {
+    VecX last;
+    agree = solve_rest(c.tail(rest) - behind_ * c.head(m), size.tail(rest) + behind_.cwiseAbs() * size.head(m), last);
+    x.resize(c.size());
+    x.tail(rest) = last;
+    x.head(m) = -inverse_ * c.head(m) - across_ * last;
+  }
+  x.tail(turns).array() *= turn_scale_.array();
   return agree;
 }
 
@@ -98,7 +117,9 @@ bool SharedLoad::solve_rest(const VecX& c, const VecX& size, VecX& x) const {
   return rank_ == A_.rows() || (A_ * x - right).norm() <= kContradiction * scale_.cwiseProduct(size).norm();
 }
 
-VecX SharedLoad::solve_transposed(const VecX& lx) const {
+VecX SharedLoad::solve_transposed(const VecX& gradient) const {
+  VecX lx = gradient;
+  lx.tail(turn_scale_.size()).array() *= turn_scale_.array();
   if (constraints_ == 0) return solve_rest_transposed(lx);
   const Eigen::Index m = constraints_, rest = lx.size() - m;
   const VecX lc = solve_rest_transposed(lx.tail(rest) - across_.transpose() * lx.head(m));

@@ -1,5 +1,7 @@
 #include "step/node_chart.hpp"
 
+#include <Eigen/LU>
+
 #include "step/ball_chart.hpp"
 
 namespace contactvi {
@@ -59,6 +61,18 @@ VecX NodeChart::velocity(const VecX& u) const {
   VecX v = u;
   for (const Ball& ball : balls_) v.segment<3>(ball.iv) = ball.J * u.segment<3>(ball.iv);
   return v;
+}
+
+VecX NodeChart::rate(const VecX& v) const {
+  VecX u = v;
+  for (const Ball& ball : balls_) u.segment<3>(ball.iv) = ball.J.inverse() * v.segment<3>(ball.iv);
+  return u;
+}
+
+VecX NodeChart::rate_transposed(const VecX& lu) const {
+  VecX lv = lu;
+  for (const Ball& ball : balls_) lv.segment<3>(ball.iv) = ball.J.transpose().inverse() * lu.segment<3>(ball.iv);
+  return lv;
 }
 
 VecX NodeChart::velocity_change(const VecX& u, const VecX& du, const VecX& dX) const {

@@ -23,6 +23,9 @@ class NodeChart {
   VecX at_start_change(const VecX& g, const VecX& dg, const VecX& dX) const;
   // The velocity for the rate u of X; and its change, where these change by du and dX.
   VecX velocity(const VecX& u) const;
+  // The other way round; and its transpose.
+  VecX rate(const VecX& v) const;
+  VecX rate_transposed(const VecX& lu) const;
   VecX velocity_change(const VecX& u, const VecX& du, const VecX& dX) const;
 
  private:

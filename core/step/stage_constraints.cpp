@@ -34,7 +34,7 @@ StageConstraints::StageConstraints(const Tree& tree, int stages)
       stages_(stages),
       nodes_(stages + 1, Node(tree)),
       to_nodes_(stages, stages),
-      at_nodes_(stages, stages),
+      raised_(stages),
       path_(tree, stages),
       stage_rates_(tree.nv, stages),
       v0_(tree.nv),
@@ -44,33 +44,8 @@ StageConstraints::StageConstraints(const Tree& tree, int stages)
       v1_(VecX::Zero(tree.nv)),
       q1_(tree.nq),
       p1_(tree.nv) {
-  const GaussTable& gauss = gauss_table(stages);
-  for (int k = 0; k < stages; ++k) {
-    double P[kMaxStages];
-    legendre(2.0 * table_->d[k + 1] - 1.0, stages, P);
-    for (int j = 0; j < stages; ++j) {
-      to_nodes_(j, k) = table_->to_node[k + 1][j];
-      at_nodes_(j, k) = 0.0;
-      for (int n = 0; n < stages; ++n) at_nodes_(j, k) += P[n] * gauss.to_legendre[n][j];
-    }
-  }
-  // The path is raised by P_s(x) (a + b x), which takes the velocities at both ends (path.hpp).
-  raised_at_nodes_ = at_nodes_;
-  end_share_.setZero(stages);
-  double start[kMaxStages];
-  for (int j = 0; j < stages; ++j) {
-    start[j] = 0.0;
-    for (int n = 0; n < stages; ++n) start[j] += (n % 2 == 0 ? 1.0 : -1.0) * gauss.to_legendre[n][j];
-  }
-  for (int k = 0; k + 1 < stages; ++k) {
-    double P[kMaxStages + 1];
-    const double x = 2.0 * table_->d[k + 1] - 1.0;
-    legendre(x, stages + 1, P);
-    end_share_[k] = 0.5 * P[stages] * (1.0 + x);
-    const double start_share = 0.5 * (stages % 2 == 0 ? 1.0 : -1.0) * P[stages] * (1.0 - x);
-    for (int j = 0; j < stages; ++j)
-      raised_at_nodes_(j, k) -= end_share_[k] * at_nodes_(j, stages - 1) + start_share * start[j];
-  }
+  for (int k = 0; k < stages; ++k)
+    for (int j = 0; j < stages; ++j) to_nodes_(j, k) = table_->to_node[k + 1][j];
   resize();
   forget();
 }
@@ -96,7 +71,7 @@ void StageConstraints::resize() {
     for (MatX* X : {&node.along, &node.across, &node.chart_across}) X->resize(nv, slides_);
     node.slip_across.setZero(slides_);
   }
-  if (lambda_.rows() != rows_) lambda_.setZero(rows_, stages_ + 1);
+  if (lambda_.rows() != rows_ || lambda_.cols() != stages_ + 1) lambda_.setZero(rows_, stages_ + 1);
   angles_.setZero(slides_, stages_ + 1);
   slips_.setZero(slides_, stages_ + 1);
   answers_.setZero(slides_, stages_ + 1);
@@ -377,8 +352,8 @@ void StageConstraints::move_rows(const StagePanel& rates, const StagePanel& velo
     }
   if (slides_ == 0 || stages_ == 1) return;
   for (int k = 1; k < stages_; ++k) {
-    sum((knows_end_ ? raised_at_nodes_ : at_nodes_).col(k - 1));
-    if (knows_end_) displaced_ += (h_ * end_share_[k - 1]) * end_rates;
+    sum((knows_end_ ? raised_.rate : raised_.plain).col(k - 1));
+    if (knows_end_) displaced_ += (h_ * raised_.rate_by_end[k - 1]) * end_rates;
     moved.middleRows(direction_at(k, 0), slides_).noalias() = nodes_[k].chart_across.transpose() * displaced_;
   }
 }

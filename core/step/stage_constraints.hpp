@@ -30,6 +30,7 @@
 #include "model/placement.hpp"
 #include "step/path.hpp"
 #include "step/phase_rows.hpp"
+#include "step/raised_nodes.hpp"
 #include "step/row_system.hpp"
 #include "step/slip_projection.hpp"
 #include "step/stage_response.hpp"
@@ -154,10 +155,8 @@ class StageConstraints {
   // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps
   // the direction of the node before it, so that the equations stay smooth beyond the place where the slip ends.
   std::vector<int> turns_;
-  MatX to_nodes_;            // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
-  MatX at_nodes_;            // (s, s): rates at the stages -> those of their polynomial at the nodes after the first
-  MatX raised_at_nodes_;     // as this, of the path raised by the velocities at both ends, which themselves stay
-  VecX end_share_;           // (s,): what a unit of the rate at the end adds to that at the nodes after the first
+  MatX to_nodes_;  // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
+  RaisedNodes raised_;
   StagePanel displaced_;     // of one node, (nv, columns)
   std::vector<MatX> rolls_;  // per stage: W of all rows of the phase there, (nv, count)
   StepPath path_;

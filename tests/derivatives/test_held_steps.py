@@ -6,6 +6,7 @@ import copy
 from collections.abc import Callable
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import contactvi as cvi
@@ -13,23 +14,23 @@ from derivatives.differences import (
     FOURTH,
     compare_parameters,
     constrained_differences,
-    run_differences,
     transpose_error,
 )
 from derivatives.test_constrained_steps import SCENES
 from derivatives.test_constraint_sensitivity import BAR, SMOOTH, TOUCHING, adjoint_error, compare
-from derivatives.test_persistent_sensitivity import RUNS, ball_on_ball, body, check
+from derivatives.test_persistent_sensitivity import MODELS, RUNS, Start, arm, body, check
+from derivatives.test_persistent_sensitivity import compare as compare_columns
 from helpers import constrained_scenes as scenes
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
-WITHOUT_FRICTION = [name for name in SMOOTH if "friction" not in name]
-# Contacts without friction, and those that stick or roll, in steps without and with constraints.
-HELD = [
-    "a ball slides", "a ball slides down a plane", "a corner slides", "a corner sticks",
-    "a box falls on a corner, an edge and its face", "a ball slides in a trough against a wall",
-    "a joint stays at its limit", "an arm slides", "a ball rolls at once",
-]  # fmt: skip
-HELD_BESIDE_CONSTRAINTS = ["a driven arm slides", "a ball with a pendulum slides", "a ball with a pendulum rolls"]
+# Contacts without friction, and those that slide, stick or roll, with what happens to them above order 2; and beside
+# constraints.
+HELD = {name: run[3] for name, run in RUNS.items() if "bounc" not in name and "wall is hit" not in name}
+HELD["a corner slips, and comes to rest"] = ["begin"]  # it does so later
+HELD["a rim rolls"] = ["begin", "slip"]  # shortly before the end
+HELD_BESIDE_CONSTRAINTS = [
+    name for name, run in TOUCHING.items() if run[2] and name != "joined balls drop one after the other"
+]
 IMPACTS = [name for name in TOUCHING if "bounces" in name or "strikes" in name]
 
 
@@ -55,7 +56,7 @@ def check_beside_constraints(make: Callable[[], scenes.Start], steps: tuple[floa
 
 
 @pytest.mark.parametrize("order", [4, 8, 16])
-@pytest.mark.parametrize("name", WITHOUT_FRICTION)
+@pytest.mark.parametrize("name", SMOOTH)
 def test_smooth_runs(name, order):
     check_beside_constraints(SMOOTH[name], (1e-3, 5e-4), duration=0.12, dt=0.02, order=order)
 
@@ -71,21 +72,8 @@ def test_impacts(name, order):
     assert adjoint_error(traj, "restitution") <= 2e-12
 
 
-@pytest.mark.parametrize("name", ["a driven arm slips", "a ball with a box rolls off another"])
-def test_contact_steps_follow_where_contacts_slip(name):
-    """They are of order 2, and the run says for how long; the adjoint goes through both kinds of steps."""
-    start, duration, _, _ = TOUCHING[name]
-    scene, q, v = start()
-    q, v = scenes.on_constraints(scene, q, v)
-    traj = cvi.simulate(scene, q, v, record="gradient", duration=duration, dt=0.01, order=4)
-    assert traj.stats.contact_steps > 0
-    assert "persistent contact for" in traj.stepping
-    assert "with order 2" in traj.stepping
-    assert adjoint_error(traj) <= 2e-12
-
-
 @pytest.mark.parametrize("order", [4, 8])
-@pytest.mark.parametrize("name", [name for name in SCENES if "friction" not in name])
+@pytest.mark.parametrize("name", SCENES)
 def test_single_steps(name, order):
     scene, q, v = SCENES[name]()
     q, v = scenes.on_constraints(scene, q, v)
@@ -104,13 +92,15 @@ def test_single_steps(name, order):
 @pytest.mark.parametrize("order", [4, 8])
 @pytest.mark.parametrize("name", HELD)
 def test_held_contacts(name, order):
-    make, duration, _, changes = RUNS[name]
+    make, duration, _, _ = RUNS[name]
     options = {"duration": duration, "dt": 0.01, "order": order}
     traj, q, v = recorded(make(), **options)
-    assert [c.change for c in traj.contact_changes] == changes
+    assert [c.change for c in traj.contact_changes] == HELD[name]
     nv = traj.scene.nv
-    traj = check((traj.scene, q, v), list(range(2 * nv)), (1e-4, 5e-5), **options)
-    assert transpose_error(traj, ["q0", "v0", "control"]) <= 2e-12
+    size = 0.5 if "trough" in name else 1.0
+    traj = check((traj.scene, q, v), list(range(2 * nv)), (1e-4 * size, 5e-5 * size), **options)
+    friction = ["friction"] if traj.scene.pair_friction.max(initial=0.0) > 0.0 else []
+    assert transpose_error(traj, ["q0", "v0", "control", *friction]) <= 2e-12
 
 
 @pytest.mark.parametrize("order", [4, 8])
@@ -120,16 +110,127 @@ def test_held_contacts_beside_constraints(name, order):
     check_beside_constraints(start, (1e-4, 5e-5), duration=duration, dt=0.01, order=order)
 
 
-@pytest.mark.parametrize(("order", "bar"), [(4, 1e-7), (8, 1e-9)])
-def test_a_release_ends_steps(order, bar):
-    """The force is continuous there: its time counts as given, which leaves the error of the step in a time like it."""
-    options = {"duration": 0.6, "dt": 0.01, "order": order}
-    traj, q, v = recorded(ball_on_ball(0.0), **options)
-    assert [c.change for c in traj.contact_changes] == ["begin", "release"]
-    ends, _, own = run_differences(traj.scene, q, v, 1e-4, **options)
-    S = traj.sensitivity(["q0", "v0"]).matrix[-1]
-    assert np.abs(S - ends).max() <= max(bar, own) * np.abs(ends).max()
+@pytest.mark.parametrize("order", [4, 8])
+@pytest.mark.parametrize(
+    "name", ["a ball slips and rolls", "a corner slips, and turns", "a ball rolls, slips, leaves a ball"]
+)
+def test_inputs_and_friction_are_parameters(name, order):
+    make, duration, _, _ = RUNS[name]
+    scene, q, v = make()
+    nv, steps = scene.nv, round(duration / 0.01)
+    mu = float(scene.pair_friction.max())
+    options = {"duration": duration, "dt": 0.01, "order": order}
+    base = cvi.simulate(scene, q, v, record="gradient", **options)
+    S = base.sensitivity(["control", "friction"])
+
+    def end(change: np.ndarray) -> np.ndarray:
+        scene.set_contact(restitution=0.0, friction=mu + change[nv])
+        traj = cvi.simulate(scene, q, v, control=np.tile(change[:nv], (steps, 1)), **options)
+        return np.concatenate([pin.difference(scene.model, base.q[-1], traj.q[-1]), traj.v[-1]])
+
+    compare_columns(S, end, list(range(nv + 1)), (1e-4, 5e-5))
+
+
+def servo_arm(mu: float, joint_friction: float = 0.0) -> Start:
+    """An arm whose servos press its tip on a wall, where it slides."""
+    scene, q, v = arm(mu, joint_friction)
+    scene.set_servo("joint_1", 30.0, 1.0, effort=float("inf"))
+    scene.set_servo("joint_2", 20.0, 0.5, effort=float("inf"))
+    return scene, q, v
+
+
+@pytest.mark.parametrize("order", [4, 8])
+@pytest.mark.parametrize(("joint_friction", "duration"), [(0.0, 0.5), (0.0, 0.8), (0.2, 0.5)])
+def test_servos_press_a_tip_that_slides(joint_friction, duration, order):
+    """And lift it off in the longer run."""
+    options = {"duration": duration, "dt": 0.01, "order": order, "target": [0.1, 0.9]}
+    traj, q, v = recorded(servo_arm(0.3, joint_friction), **options)
+    assert [c.change for c in traj.contact_changes] == (["begin"] if duration < 0.7 else ["begin", "release"])
+    check((traj.scene, q, v), [0, 1, 2, 3], (1e-4, 5e-5), **options)
+    assert transpose_error(traj, ["q0", "v0", "control", "friction"]) <= 2e-12
+
+
+def pendulum(friction: float) -> Start:
+    scene = cvi.Scene()
+    scene.add_urdf(MODELS / "double_pendulum.urdf", limits=False)
+    scene.set_joint("*", friction=friction)
+    return scene, np.array([0.5, 0.3]), np.array([1.0, 2.0])
+
+
+@pytest.mark.parametrize("order", [4, 8])
+@pytest.mark.parametrize(("friction", "duration"), [(0.1, 0.2), (0.1, 1.0), (3.0, 0.5)])
+def test_joint_friction(friction, duration, order):
+    """Joints slide; they turn back; one sticks all the time, and another one comes to rest and turns back."""
+    options = {"duration": duration, "dt": 0.01, "order": order}
+    traj, q, v = recorded(pendulum(friction), **options)
+    turned = (traj.v.max(axis=0) > 0.1) & (traj.v.min(axis=0) < -0.1)
+    assert turned.any() == (duration > 0.2)
+    assert (abs(traj.v[-1, 1]) < 1e-12) == (friction == 3.0)
+    check((traj.scene, q, v), [0, 1, 2, 3], (1e-4, 5e-5), **options)
     assert transpose_error(traj, ["q0", "v0", "control"]) <= 2e-12
+
+
+def test_joint_friction_beside_servos():
+    """One joint sticks, breaks loose and comes to rest again."""
+    scene, q, v = pendulum(0.3)
+    scene.set_servo("joint_1", 30.0, 1.0)
+    scene.set_servo("joint_2", 20.0, 0.5)
+    options = {"duration": 0.6, "dt": 0.01, "order": 8, "target": [0.7, -0.2]}
+    traj, q, v = recorded((scene, q, np.array([0.5, -1.0])), **options)
+    check((scene, q, v), [0, 1, 2, 3], (1e-4, 5e-5), **options)
+    assert transpose_error(traj, ["q0", "v0", "control"]) <= 2e-12
+
+
+@pytest.mark.parametrize("order", [4, 8])
+@pytest.mark.parametrize(("mu", "v"), [(0.2, [1.0, 0.3]), (0.5, [0.8, 0.3])], ids=["slides", "comes to rest"])
+def test_a_face_that_slides(mu, v, order):
+    """Four corners share the load, and come to rest together."""
+    options = {"duration": 0.25, "dt": 0.01, "order": order}
+    start = body("box", 0.125, [*v, 0.0, 0.0, 0.0, 0.0], mu, turn=0.0)
+    traj = check(start, [0, 1, 5, 6, 7], (2e-4, 1e-4), **options)
+    assert traj.stats.contact_steps <= 2
+    assert [c.change for c in traj.contact_changes] == ["begin"] * 4 + ["stick"] * (4 if mu == 0.5 else 0)
+
+
+def ball_on_a_slope() -> Start:
+    """It lies there, and begins to slip at once."""
+    scene = cvi.Scene(gravity=(5.0, 1.0, -9.0))
+    scene.add_sphere("ball", 0.1)
+    scene.add_halfspace()
+    scene.set_contact(restitution=0.0, friction=0.05)
+    return scene, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), np.zeros(6)
+
+
+def test_what_begins_to_slide_from_rest():
+    """A change of the velocity there is a kink; one that leaves the contact at rest is none."""
+    options = {"duration": 0.1, "dt": 0.01, "order": 4}
+    traj, q, v = recorded(ball_on_a_slope(), **options)
+    with pytest.raises(cvi.NotDifferentiable) as found:
+        traj.sensitivity(["v0"])
+    assert found.value.reason == "friction"
+    assert np.isfinite(traj.sensitivity(["v0"], on_kink="taken").matrix).all()
+    S = traj.sensitivity(["control"])
+
+    def end(change: np.ndarray) -> np.ndarray:
+        run = cvi.simulate(traj.scene, q, v, control=np.tile(change, (10, 1)), **options)
+        return np.concatenate([pin.difference(traj.scene.model, traj.q[-1], run.q[-1]), run.v[-1]])
+
+    compare_columns(S, end, list(range(6)), (1e-3, 5e-4))
+    assert transpose_error(traj, ["control"]) <= 2e-12
+
+
+def test_slips_that_come_to_rest_at_one_instant_by_chance():
+    scene = cvi.Scene()
+    for name in ("a", "b"):
+        scene.add_sphere(name, 0.1)
+    scene.add_halfspace()
+    scene.set_contact(restitution=0.0, friction=0.1)
+    q, v = pin.neutral(scene.model), np.zeros(12)
+    q[[2, 9]], q[7], v[[0, 6]] = 0.1, 1.0, 0.5
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.4, dt=0.01, order=4)
+    with pytest.raises(cvi.NotDifferentiable) as found:
+        traj.sensitivity()
+    assert found.value.reason == "stick"
 
 
 def test_a_face_that_rests():
@@ -138,32 +239,6 @@ def test_a_face_that_rests():
     options = {"duration": 0.1, "dt": 0.02, "order": 4}
     traj, q, v = recorded((scene, q, v), **options)
     check((scene, q, v), [0, 1, 5], (2e-4, 1e-4), **options)
-
-
-@pytest.mark.parametrize("name", ["a ball slips and rolls", "an arm comes to rest", "a rim rolls"])
-def test_smooth_steps_follow_where_a_slip_has_ended(name):
-    make, duration, _, _ = RUNS[name]
-    start = make()
-    options = {"duration": duration, "dt": 0.01, "order": 4, "dt_contact": 0.01}
-    traj = check(start, list(range(2 * start[0].nv)), (1e-4, 5e-5), **options)
-    assert 0 < traj.stats.contact_steps < 15
-    assert transpose_error(traj, ["q0", "v0", "control", "friction"]) <= 2e-12
-
-
-@pytest.mark.parametrize("order", [4, 8])
-def test_contact_steps_take_the_beginning_of_a_slip(order):
-    """Where a held contact begins to slip in a step, contact steps are taken from the start of that step on."""
-    make, duration, _, changes = RUNS["a box sticks on a corner and an edge"]
-    options = {"duration": duration, "dt": 0.01, "order": order, "dt_contact": 0.01}
-    traj = check(make(), list(range(12)), (1e-4, 5e-5), **options)
-    assert [c.change for c in traj.contact_changes] == changes
-    assert 0 < traj.stats.contact_steps < 15
-
-
-def test_single_steps_with_joint_friction_are_refused():
-    scene, q, v = SCENES["loop with joint friction"]()
-    with pytest.raises(cvi.NotDifferentiable, match="joint friction"):
-        cvi.linearize(scene, *scenes.on_constraints(scene, q, v), dt=0.01, order=4)
 
 
 def test_times_inside_of_steps():
@@ -178,9 +253,11 @@ def test_times_inside_of_steps():
 
 
 @pytest.mark.parametrize("order", [4, 8])
-@pytest.mark.parametrize(("e", "mu", "linked"), [(0.6, 0.3, True), (0.0, 0.0, True), (0.0, 0.0, False)])
+@pytest.mark.parametrize(
+    ("e", "mu", "linked"), [(0.6, 0.3, True), (0.0, 0.0, True), (0.0, 0.0, False), (0.0, 0.1, True), (0.0, 0.3, False)]
+)
 def test_parameters_of_the_scene(e, mu, linked, order):
-    """An arm bounces on the ground, or slides there."""
+    """An arm bounces on the ground, or slides there without friction or with it."""
     scene_of, x = sprung_arm(restitution=e, friction=mu, linked=linked), np.array(SPRUNG_ARM)
     scene = scene_of(x)
     q = np.array([0.25, 0.4, 0.3])
@@ -194,9 +271,10 @@ def test_parameters_of_the_scene(e, mu, linked, order):
 
 def test_steps_are_kept_in_files_and_copies(tmp_path):
     traj, _, _ = recorded(TOUCHING["a linkage strikes a ball"][0](), duration=0.5, dt=0.02, order=4)
-    corner, _, _ = recorded(RUNS["a corner sticks"][0](), duration=0.12, dt=0.01, order=4)
-    again = cvi.Trajectory.load(corner.save(tmp_path / "corner.npz"))
-    assert np.array_equal(again.sensitivity().matrix, corner.sensitivity().matrix)
+    for start in (RUNS["a corner sticks"][0](), RUNS["a corner slips, and turns"][0](), servo_arm(0.3, 0.2)):
+        kept, _, _ = recorded(start, duration=0.4 if start[0].nv == 2 else 0.12, dt=0.01, order=4, target=None)
+        again = cvi.Trajectory.load(kept.save(tmp_path / "kept.npz"))
+        assert np.array_equal(again.sensitivity().matrix, kept.sensitivity().matrix)
     for again in (cvi.Trajectory.load(traj.save(tmp_path / "run.npz")), copy.deepcopy(traj)):
         assert np.array_equal(again.sensitivity().matrix, traj.sensitivity().matrix)
 

@@ -1,5 +1,6 @@
-// The continuous normal force of a contact that is released at the end of a contact step, as a function of the state
-// there; its zero is the time of the release.
+// The continuous force that ends a phase of contact at the end of a step, as a function of the state there; its zero is
+// the time of that end. It is the normal force of a contact that is released, or what is left of the friction that what
+// sticks can have, of a contact or of a joint, where it begins to slip.
 //
 // With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of the
 // constraints, of the normals and of what sticks, f_t = -mu f_n d of what slips, f_t = 0 of the contact that sticks and
@@ -18,12 +19,37 @@
 
 namespace contactvi {
 
-class ReleaseForce {
- public:
-  ReleaseForce(const Scene& scene, const RecordedRun& run);
+// The end of a step that a force ends.
+struct PhaseEnd {
+  struct Contact {
+    PersistentContact before;
+    Vec3 t1, normal;  // at the end, world
+    bool slips;       // there
+    int row;
+  };
+  struct Joint {
+    int dof;
+    double limit;
+  };
+  double time, nominal;  // of the end; length of a nominal step [s]
+  VecX q, p, v;
+  int rows;
+  std::vector<Joint> joints;  // their rows follow those of the constraints
+  std::vector<Contact> contacts;
+  int ended;      // contact, or joint, which count after the contacts
+  bool releases;  // a contact; else it begins to slip
+};
+// Of a contact step that ends with a release.
+PhaseEnd release_of(const ContactStepRecord& step);
 
-  // Takes a step that ends with a release; it and its inputs are to stay alive. Throws NoDerivative.
-  void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
+class EndForce {
+ public:
+  EndForce(const Scene& scene, const RecordedRun& run);
+
+  // Takes the end of a step with its inputs, which are to stay alive. Throws NoDerivative.
+  void take(PhaseEnd end, const VecX& tau, const Servo* servo);
+  const PhaseEnd& end() const { return end_; }
+  const Scene& scene() const { return *scene_; }
   // The derivative of the force [N] along a change of (q1, p1), and of the inputs and the coefficients of friction of
   // the contacts, which may be empty.
   double change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu);
@@ -38,6 +64,7 @@ class ReleaseForce {
   double settle_loads();
   double prescribed_rate(double rest);
   double force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu);
+  void set_weights(const std::vector<Vec3>& t1, const std::vector<Vec3>& normals, const VecX& mu);
   void refuse(const std::string& got) const;
 
   const Scene* scene_;
@@ -47,9 +74,10 @@ class ReleaseForce {
   ContactTangent tangent_;
   ConstraintTangent constraints_;
   MotionParameters parameters_;
-  const ContactStepRecord* record_ = nullptr;
+  PhaseEnd end_;
   const VecX* tau_ = nullptr;
   std::vector<char> loaded_;  // which contacts carry load
+  VecX weights_;              // of the forces of the rows in the force
   VecX mu_;
   VecX forces_, accelerations_;  // of the rows, at the last evaluation
   MatX W_, dW_, A_;

@@ -1,4 +1,4 @@
-#include "sensitivity/release_force.hpp"
+#include "sensitivity/end_force.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -29,7 +29,7 @@ double jerk(const Signal& motion, double t, double step) {
 }
 }  // namespace
 
-ReleaseForce::ReleaseForce(const Scene& scene, const RecordedRun& run)
+EndForce::EndForce(const Scene& scene, const RecordedRun& run)
     : scene_(&scene),
       t0_(run.t0),
       masses_(scene.tree, 1, 1e-12, 1),
@@ -40,65 +40,74 @@ ReleaseForce::ReleaseForce(const Scene& scene, const RecordedRun& run)
       v_(scene.tree.nv),
       a_(scene.tree.nv) {}
 
-void ReleaseForce::refuse(const std::string& got) const {
-  throw NoDerivative({"release", record_->contacts[record_->ended].before.point.guard, record_->t + record_->h},
-                     "The time of the release of a contact has no derivative that is known",
+void EndForce::refuse(const std::string& got) const {
+  const auto contacts = static_cast<int>(end_.contacts.size());
+  const int guard = end_.ended < contacts ? end_.contacts[static_cast<std::size_t>(end_.ended)].before.point.guard : -1;
+  throw NoDerivative({end_.releases ? "release" : "stick", guard, end_.time},
+                     "The time at which a phase of contact ends has no derivative that is known",
                      "a force that falls to zero beside contacts that stay loaded", got, "Start elsewhere");
 }
 
-void ReleaseForce::take(const ContactStepRecord& step, const VecX& tau, const Servo* servo) {
-  record_ = &step;
+PhaseEnd release_of(const ContactStepRecord& s) {
+  PhaseEnd end{s.t + s.h, s.nominal, s.q1, s.p1, s.v1, static_cast<int>(s.lambda.size()), {}, {}, s.ended, true};
+  for (const ContactStepRecord::Joint& joint : s.joints) end.joints.push_back({joint.dof, joint.limit});
+  for (const ContactStepRecord::Contact& c : s.contacts)
+    end.contacts.push_back({c.before, c.t1_end, c.end.normal, c.outcome.slips, c.row});
+  return end;
+}
+
+void EndForce::take(PhaseEnd end, const VecX& tau, const Servo* servo) {
+  end_ = std::move(end);
   tau_ = &tau;
-  masses_.set_time(step.t + step.h);
+  masses_.set_time(end_.time);
   masses_.set_servo(servo);
-  mu_.resize(static_cast<Eigen::Index>(step.contacts.size()));
-  for (std::size_t i = 0; i < step.contacts.size(); ++i) mu_[i] = step.contacts[i].before.mu;
-  loaded_.assign(step.contacts.size(), 1);
-  const double released = settle_loads();
-  if (!(std::abs(released) <= kZero * size_)) refuse("a force of " + std::to_string(released) + " N");
-  for (std::size_t i = 0; i < step.contacts.size(); ++i) {
-    const int r = step.contacts[i].row;
+  mu_.resize(static_cast<Eigen::Index>(end_.contacts.size()));
+  for (std::size_t i = 0; i < end_.contacts.size(); ++i) mu_[static_cast<Eigen::Index>(i)] = end_.contacts[i].before.mu;
+  loaded_.assign(end_.contacts.size(), 1);
+  const double left = settle_loads();
+  if (!(std::abs(left) <= kZero * size_)) refuse("a force of " + std::to_string(left) + " N");
+  for (std::size_t i = 0; i < end_.contacts.size(); ++i) {
+    const int r = end_.contacts[i].row;
     const bool clear = loaded_[i] != 0 ? forces_[r] > kZero * size_ : accelerations_[r] > kZero * size_ * A_(r, r);
-    if (static_cast<int>(i) != step.ended && !clear) refuse("another contact on the border of its load");
+    if (static_cast<int>(i) != end_.ended && !clear) refuse("another contact on the border of its load");
   }
   VecX acceleration = W_ * forces_;
   masses_.solve_mass(acceleration);
   acceleration += a_;
-  parameters_.take(step.q1, v_, acceleration, servo);
+  parameters_.take(end_.q, v_, acceleration, servo);
 }
 
-// The force of the contact that is released. Others that are about to be released carry no load: the one that pulls
-// most is taken out, until none does.
-double ReleaseForce::settle_loads() {
-  const ContactStepRecord& s = *record_;
+// The force. Contacts that are about to be released besides carry no load: the one that pulls most is taken out, until
+// none does.
+double EndForce::settle_loads() {
+  const PhaseEnd& s = end_;
   for (;;) {
-    const double released = force(s.q1, s.p1, *tau_, mu_);
+    const double left = force(s.q, s.p, *tau_, mu_);
     int worst = -1;
     for (std::size_t i = 0; i < s.contacts.size(); ++i) {
       if (static_cast<int>(i) == s.ended || loaded_[i] == 0 || !(forces_[s.contacts[i].row] < 0.0)) continue;
       if (worst < 0 || forces_[s.contacts[i].row] < forces_[s.contacts[worst].row]) worst = static_cast<int>(i);
     }
-    if (worst < 0) return released;
+    if (worst < 0) return left;
     loaded_[worst] = 0;
   }
 }
 
-// The normal force of the contact that is released.
-double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu) {
-  const ContactStepRecord& s = *record_;
-  const int rows = static_cast<int>(s.lambda.size()), equations = constraints_.rows();
+double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu) {
+  const PhaseEnd& s = end_;
+  const int rows = s.rows, equations = constraints_.rows();
   if (!masses_.node_velocity(q, p, v_)) throw Error("the mass matrix is not positive definite");
   forward_dynamics(masses_, q, v_, tau, a_);
   guards_.place(q);
   W_.setZero(scene_->tree.nv, rows);
   dW_.setZero(scene_->tree.nv, rows);
   if (equations > 0) {
-    constraints_.take(q, s.t + s.h);
+    constraints_.take(q, s.time);
     W_.leftCols(equations) = constraints_.gradients();
     constraints_.change(v_, dW_.leftCols(equations));
   }
   for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, equations + static_cast<int>(k)) = 1.0;
-  std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero());
+  std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero()), normals = t1;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactPoint& point = s.contacts[i].before.point;
     const int count = s.contacts[i].before.rows();
@@ -108,7 +117,8 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
     } else {
       guards_.manifolds().evaluate(point, guards_.placements(), contact);
     }
-    if (count > 1) t1[i] = carried_tangent(s.contacts[i].t1_end, s.contacts[i].end.normal, contact.normal);
+    normals[i] = contact.normal;
+    if (count > 1) t1[i] = carried_tangent(s.contacts[i].t1, s.contacts[i].normal, contact.normal);
     guards_.rows(point.guard, contact, t1[i], W_.middleCols(s.contacts[i].row, count));
     if (!tangent_.take(q, point.guard, contact, &point)) refuse(tangent_.why());
     tangent_.change(v_, t1[i], dW_.middleCols(s.contacts[i].row, count));
@@ -121,14 +131,15 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
   accelerations_ = c;
   MatX A = A_;
   size_ = 0.0;
-  for (const ContactStepRecord::Contact& contact : s.contacts) {
+  for (const PhaseEnd::Contact& contact : s.contacts) {
     const int r = contact.row;
     const double terms = W_.col(r).cwiseAbs().dot(a_.cwiseAbs()) + dW_.col(r).cwiseAbs().dot(v_.cwiseAbs());
     size_ = std::max(size_, terms / A(r, r));
   }
-  const double still = kStill * (1.0 + s.v1.cwiseAbs().maxCoeff());
+  for (const PhaseEnd::Joint& joint : s.joints) size_ = std::max(size_, joint.limit);
+  const double still = kStill * (1.0 + s.v.cwiseAbs().maxCoeff());
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
-    const double speed = s.v1[s.joints[k].dof];
+    const double speed = s.v[s.joints[k].dof];
     if (std::abs(speed) <= still) continue;
     const int r = equations + static_cast<int>(k);
     A.row(r).setZero();
@@ -144,7 +155,7 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
       continue;
     }
     // What sticks up to its release begins to slip before it: its friction goes to zero with the normal force.
-    const bool slips = s.contacts[i].outcome.slips, ends = static_cast<int>(i) == s.ended;
+    const bool slips = s.contacts[i].slips, ends = s.releases && static_cast<int>(i) == s.ended;
     if (count == 1 || !(slips || ends)) continue;
     A.middleRows(r + 1, 2).setZero();
     A.block<2, 2>(r + 1, r + 1).setIdentity();
@@ -154,18 +165,54 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
     A.block<2, 1>(r + 1, r) = mu[i] * w.normalized();
   }
   system_.compute(A, equations);
-  const int row = s.contacts[s.ended].row;
   const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();
   if (!system_.solve(c, size, forces_)) refuse("contacts that contradict each other");
   accelerations_.noalias() += A_ * forces_;
-  if (system_.free().cols() > 0 && system_.free().row(row).norm() > kUnique) refuse("points that share their load");
-  return forces_[row];
+  set_weights(t1, normals, mu);
+  if (system_.free().cols() > 0 && (weights_.transpose() * system_.free()).norm() > kUnique)
+    refuse("points that share their load");
+  const auto contacts = static_cast<int>(s.contacts.size());
+  const double limit = s.ended < contacts ? 0.0 : s.joints[static_cast<std::size_t>(s.ended - contacts)].limit;
+  return limit + weights_.dot(forces_);
 }
 
-double ReleaseForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
-  const ContactStepRecord& s = *record_;
+// Of the friction of points that share a load only the sum of those of a pair is known.
+void EndForce::set_weights(const std::vector<Vec3>& t1, const std::vector<Vec3>& normals, const VecX& mu) {
+  const PhaseEnd& s = end_;
+  weights_.setZero(s.rows);
+  const auto contacts = static_cast<int>(s.contacts.size());
+  if (s.ended >= contacts) {
+    const int r = constraints_.rows() + s.ended - contacts;
+    weights_[r] = -std::copysign(1.0, forces_[r]);
+    return;
+  }
+  const auto ended = static_cast<std::size_t>(s.ended);
+  if (s.releases) {
+    weights_[s.contacts[ended].row] = 1.0;
+    return;
+  }
+  std::vector<std::size_t> together;
+  Vec3 friction = Vec3::Zero();
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const PhaseEnd::Contact& c = s.contacts[i];
+    const bool shares = system_.free().cols() > 0 && c.before.point.guard == s.contacts[ended].before.point.guard;
+    if (i != ended && !(shares && !c.slips && c.before.mu > 0.0 && loaded_[i] != 0)) continue;
+    together.push_back(i);
+    friction += forces_[c.row + 1] * t1[i] + forces_[c.row + 2] * normals[i].cross(t1[i]);
+  }
+  const Vec3 along = friction.normalized();
+  for (const std::size_t i : together) {
+    const int r = s.contacts[i].row;
+    weights_[r] = mu[s.ended];
+    weights_[r + 1] = -along.dot(t1[i]);
+    weights_[r + 2] = -along.dot(normals[i].cross(t1[i]));
+  }
+}
+
+double EndForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
+  const PhaseEnd& s = end_;
   const int n = scene_->tree.nv;
-  if (!masses_.node_velocity(s.q1, s.p1, v_)) throw Error("the mass matrix is not positive definite");
+  if (!masses_.node_velocity(s.q, s.p, v_)) throw Error("the mass matrix is not positive definite");
   VecX dv = dp;
   masses_.solve_mass(dv);
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff(),
@@ -180,45 +227,45 @@ double ReleaseForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, co
   for (const auto& [count, weight] :
        {std::pair(-2.0, 1.0), std::pair(-1.0, -8.0), std::pair(1.0, 8.0), std::pair(2.0, -1.0)}) {
     const double by = count * step;
-    integrate(scene_->tree, s.q1, dq, by, q);
+    integrate(scene_->tree, s.q, dq, by, q);
     VecX tau = *tau_;
     if (dtau.size() > 0) tau = (tau.size() > 0 ? tau : VecX(VecX::Zero(n))) + by * dtau;
     const VecX mu = dmu.size() > 0 ? VecX(mu_ + by * dmu) : mu_;
-    total += weight * force(q, s.p1 + by * dp, tau, mu);
+    total += weight * force(q, s.p + by * dp, tau, mu);
   }
   return total / (12.0 * step);
 }
 
-double ReleaseForce::change(const StepParameters& parameters) {
+double EndForce::change(const StepParameters& parameters) {
   VecX dp, dtau;
   parameters_.change(parameters, dp, dtau);
-  engine_to_public(scene_->tree, record_->q1, dtau);
+  engine_to_public(scene_->tree, end_.q, dtau);
   return change(VecX::Zero(dp.size()), dp, dtau, VecX());
 }
 
-void ReleaseForce::add_parameters(const VecX& lp, const VecX& ltau, StepParameters& sums) {
+void EndForce::add_parameters(const VecX& lp, const VecX& ltau, StepParameters& sums) {
   VecX lforce = ltau;
-  public_to_engine(scene_->tree, record_->q1, lforce);
+  public_to_engine(scene_->tree, end_.q, lforce);
   parameters_.add_gradient(lp, lforce, sums);
 }
 
-double ReleaseForce::rate(const VecX& fq, const VecX& fp) {
+double EndForce::rate(const VecX& fq, const VecX& fp) {
   const double rest = change(fq, fp, VecX(), VecX());
   return scene_->tree.elements.driven() ? rest + prescribed_rate(rest) : rest;
 }
 
 // The accelerations of prescribed motions are terms of the equations of the forces: their rates have that of the force.
-double ReleaseForce::prescribed_rate(double rest) {
-  const ContactStepRecord& s = *record_;
-  const double t = s.t + s.h, step = std::min(0.125 * s.nominal, 0.25 * (t - t0_));
-  force(s.q1, s.p1, *tau_, mu_);
-  VecX c = VecX::Zero(s.lambda.size()), none = c, rates;
+double EndForce::prescribed_rate(double rest) {
+  const PhaseEnd& s = end_;
+  const double t = s.time, step = std::min(0.125 * s.nominal, 0.25 * (t - t0_));
+  force(s.q, s.p, *tau_, mu_);
+  VecX c = VecX::Zero(s.rows), none = c, rates;
   double found[2];
   for (int k = 0; k < 2; ++k) {
     for (const Constraint& constraint : scene_->tree.elements.constraints)
       if (constraint.signal) c[constraint.row] = -jerk(constraint.signal, t, k == 0 ? step : 0.5 * step);
     system_.solve(c, none, rates);
-    found[k] = rates[s.contacts[s.ended].row];
+    found[k] = weights_.dot(rates);
   }
   if (!(std::abs(found[1] - found[0]) <= kSameRate * std::abs(rest + found[1])))
     refuse("a prescribed motion whose acceleration is not smooth, or not known well enough");
