@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
@@ -17,66 +16,31 @@ namespace {
 // conditions at s nodes multiply it by up to about s^2.
 constexpr double kRounding = 1e-15;
 constexpr double kTurns = 1e-15;    // [rad] to which the charts of spherical joints belong to their velocities
-constexpr double kAlike = 1e-6;     // of unit vectors: directions of forces that differ by less are the same
 constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which a row is rounding
 // [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
 constexpr int kMostTurns = 7;  // see find_slips
 }  // namespace
 
-StageConstraints::Node::Node(const Tree& tree) : q(tree.nq), X(VecX::Zero(tree.nv)), at(tree) {}
-
 StageConstraints::StageConstraints(const Tree& tree, int stages)
-    : tree_(&tree),
-      table_(&lobatto_table(stages)),
-      fixed_(tree.elements.constraint_rows),
-      rows_(fixed_),
-      stages_(stages),
-      nodes_(stages + 1, Node(tree)),
+    : StageNodes(tree, stages),
       to_nodes_(stages, stages),
       raised_(stages),
       path_(tree, stages),
       stage_rates_(tree.nv, stages),
-      v0_(tree.nv),
-      q_stage_(tree.nq),
-      X_stage_(tree.nv),
       v_node_(tree.nv),
       v1_(VecX::Zero(tree.nv)),
       q1_(tree.nq),
       p1_(tree.nv) {
   for (int k = 0; k < stages; ++k)
     for (int j = 0; j < stages; ++j) to_nodes_(j, k) = table_->to_node[k + 1][j];
-  resize();
   forget();
 }
 
 void StageConstraints::hold(PhaseRows* rows) {
-  phase_ = rows;
-  rows_ = fixed_ + (rows != nullptr ? rows->count() : 0);
-  load_ = rows != nullptr ? rows->load() : nullptr;
-  slides_ = rows != nullptr ? static_cast<int>(rows->slides().size()) : 0;
-  rolling_ = 0;
-  for (int r = 0; r < rows_ - fixed_; ++r) rolling_ += rows->by_rate(r) ? 1 : 0;
-  nodes_[0].q.setConstant(std::numeric_limits<double>::quiet_NaN());  // its rows are other ones
-  resize();
-}
-
-void StageConstraints::resize() {
-  const int nv = tree_->nv;
-  for (Node& node : nodes_) {
-    node.phi.setZero(rows_);
-    node.rate.setZero(rows_);
-    node.W.resize(nv, rows_);
-    node.T.resize(nv, 2 * slides_);
-    for (MatX* X : {&node.along, &node.across, &node.chart_across}) X->resize(nv, slides_);
-    node.slip_across.setZero(slides_);
-  }
-  if (lambda_.rows() != rows_ || lambda_.cols() != stages_ + 1) lambda_.setZero(rows_, stages_ + 1);
-  angles_.setZero(slides_, stages_ + 1);
-  slips_.setZero(slides_, stages_ + 1);
+  StageNodes::hold(rows);
   answers_.setZero(slides_, stages_ + 1);
   turns_.assign(static_cast<std::size_t>(slides_ * (stages_ + 1)), 0);
-  if (rolling_ > 0) rolls_.assign(static_cast<std::size_t>(stages_), MatX(nv, rows_ - fixed_));
 }
 
 // The node at which an unknown acts.
@@ -84,99 +48,20 @@ int StageConstraints::node_of(int unknown) const {
   return unknown < rows_ * stages_ ? unknown / rows_ : 1 + (unknown - rows_ * stages_) / slides_;
 }
 
-void StageConstraints::place(Node& node, int number) {
-  if (fixed_ > 0) {
-    contactvi::place(*tree_, node.q, node.at);
-    evaluate_constraints(*tree_, node.at, node.q, node.t, node.phi.head(fixed_), node.W.leftCols(fixed_),
-                         node.rate.head(fixed_), node.motions);
-  }
-  if (phase_ != nullptr)
-    phase_->place(number, node.q, node.phi.tail(rows_ - fixed_), node.W.rightCols(rows_ - fixed_), node.T);
-  to_chart(node, node.W, node.chart_W);
-  direct(node, number);
-}
-
-// The directions of the slips at a node, and what follows from them.
-void StageConstraints::direct(Node& node, int number) {
-  node.F = node.W;
-  if (slides_ == 0) {
-    node.chart_F = node.chart_W;
-    return;
-  }
-  for (int j = 0; j < slides_; ++j) {
-    const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
-    const double c = std::cos(angles_(j, number)), s = std::sin(angles_(j, number));
-    const auto t1 = node.T.col(2 * j), t2 = node.T.col(2 * j + 1);
-    node.along.col(j) = c * t1 + s * t2;
-    node.across.col(j) = c * t2 - s * t1;
-    node.F.col(fixed_ + normal) -= mu * node.along.col(j);
-  }
-  to_chart(node, node.F, node.chart_F);
-  to_chart(node, node.across, node.chart_across);
-}
-
-// Gradients by the chart at the start of the step.
-void StageConstraints::to_chart(const Node& node, const MatX& from, MatX& to) const {
-  to = from;
-  for (const Joint& joint : tree_->joints) {
-    if (joint.type != JointType::kSpherical) continue;
-    const Mat3 J = so3_right_jacobian(node.X.segment<3>(joint.iv));
-    to.middleRows<3>(joint.iv) = J.transpose() * from.middleRows<3>(joint.iv);
-  }
-}
-
 void StageConstraints::begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h,
                              const VecX& tau) {
   tau_ = &tau;
-  const bool same = q0_.size() == q0.size() && nodes_[0].q == q0 && nodes_[0].t == t0;
-  const bool same_speed = same && p0_.size() == p0.size() && p0_ == p0;
-  p0_ = p0;
-  h_ = h;
   knows_end_ = false;
-  if (forces_.size() != rows_) forces_.setZero(rows_);
-  for (int k = 0; k <= stages_; ++k) {
-    if (k > 0 || !same) nodes_[k].motions.forget();
-    nodes_[k].t = t0 + table_->d[k] * h;
-    lambda_.col(k) = h * table_->e[k] * forces_;
-  }
   violated_ = -1;
   std::fill(turns_.begin(), turns_.end(), 0);
-  if (same && (slides_ == 0 || same_speed)) {
-    for (int k = 1; k <= stages_; ++k) angles_.col(k) = angles_.col(0);
-    return;
-  }
-  q0_ = q0;
-  nodes_[0].q = q0;
-  nodes_[0].X.setZero();
-  place(nodes_[0], 0);
-  if (slides_ == 0) return;
-  if (!equations.node_velocity(q0, p0, v0_)) v0_.setZero();
-  for (int j = 0; j < slides_; ++j) {
-    const Eigen::Vector2d slip = nodes_[0].T.middleCols<2>(2 * j).transpose() * v0_;
-    angles_.row(j).setConstant(phase_->start_angle(j, slip, v0_.cwiseAbs().maxCoeff()));
-    slips_.row(j).setConstant(slip.dot(Eigen::Vector2d(std::cos(angles_(j, 0)), std::sin(angles_(j, 0)))));
-  }
-  direct(nodes_[0], 0);
+  if (forces_.size() != rows_) forces_.setZero(rows_);
+  StageNodes::begin(equations, q0, p0, t0, h, forces_);
 }
 
 void StageConstraints::place_nodes(Stages& stages) {
   const int S = stages.padded(), nv = tree_->nv;
   stages.settle_turns(kTurns);
-  for (int k = 1; k <= stages_; ++k) {
-    Node& node = nodes_[k];
-    for (int d = 0; d < nv; ++d) {
-      const double* rate = stages.rate() + static_cast<std::size_t>(d) * S;
-      double sum = 0.0;
-      for (int j = 0; j < stages_; ++j) sum += table_->to_node[k][j] * rate[j];
-      node.X[d] = h_ * sum;
-    }
-    integrate(*tree_, q0_, node.X, 1.0, node.q);
-    place(node, k);
-    // What the rows of the phase are off at the start goes within the step, smoothly.
-    const double d = table_->d[k], left = (1.0 - d) * (1.0 - d) * (1.0 + 2.0 * d);
-    node.phi.tail(rows_ - fixed_) -= left * nodes_[0].phi.tail(rows_ - fixed_);
-  }
-  if (rolling_ > 0) place_rates(stages);
+  place(stages);
   if (slides_ > 0) {
     for (int i = 0; i < stages_; ++i)
       for (int d = 0; d < nv; ++d) stage_rates_(d, i) = stages.rate()[static_cast<std::size_t>(d) * S + i];
@@ -191,24 +76,6 @@ void StageConstraints::place_nodes(Stages& stages) {
         given[static_cast<std::size_t>(d) * S + i] += (table_->share[std::min(i, stages_ - 1)][k] - 1.0) * impulse_[d];
   }
   stages.start_from(p_start_);
-}
-
-// The rows of velocities where the stages are.
-void StageConstraints::place_rates(const Stages& stages) {
-  const int S = stages.padded();
-  const GaussTable& table = stages.table();
-  MatX none(tree_->nv, 2 * slides_);
-  phi_.resize(rows_ - fixed_);
-  for (int i = 0; i < stages_; ++i) {
-    for (int d = 0; d < tree_->nv; ++d) {
-      const double* rate = stages.rate() + static_cast<std::size_t>(d) * S;
-      double sum = 0.0;
-      for (int j = 0; j < stages_; ++j) sum += table.A[i][j] * rate[j];
-      X_stage_[d] = h_ * sum;
-    }
-    integrate(*tree_, q0_, X_stage_, 1.0, q_stage_);
-    phase_->place(stages_ + 1 + i, q_stage_, phi_, rolls_[static_cast<std::size_t>(i)], none);
-  }
 }
 
 // The velocity at the end as the stages stand, and by it the slips at the nodes inside of the step, of the path that it
@@ -237,35 +104,6 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
       ++seen;
       changed_turns_ = true;
     }
-  }
-}
-
-// Sets impulse_ to what acts at a node.
-void StageConstraints::impulse_at(int node, bool chart) {
-  const Node& at = nodes_[node];
-  impulse_.noalias() = (chart ? at.chart_F : at.F) * lambda_.col(node);
-  if (load_ == nullptr) return;
-  const double weight = h_ * table_->e[node];
-  impulse_ += weight * *load_;
-  if (!chart) return;
-  for (const Joint& joint : tree_->joints) {
-    if (joint.type != JointType::kSpherical) continue;
-    const Vec3 own = load_->segment<3>(joint.iv);
-    impulse_.segment<3>(joint.iv) += weight * (so3_right_jacobian(at.X.segment<3>(joint.iv)).transpose() * own - own);
-  }
-}
-
-// The start momentum with all impulses but the last one; on spherical joints in the frame of the start.
-void StageConstraints::add_impulses() {
-  p_start_ = p0_;
-  for (int k = 0; k < stages_; ++k) {
-    impulse_at(k, false);
-    for (const Joint& joint : tree_->joints) {
-      if (joint.type != JointType::kSpherical) continue;
-      const Vec3 own = impulse_.segment<3>(joint.iv);
-      impulse_.segment<3>(joint.iv) = so3_exp(nodes_[k].X.segment<3>(joint.iv)) * own;
-    }
-    p_start_ += impulse_;
   }
 }
 
@@ -466,20 +304,9 @@ void StageConstraints::scale_matrix() {
 }
 
 // Impulses that change no row's velocity are those whose forces do nothing where the dependences of the forces are
-// those of the rows; with friction along slips of several directions they may do something.
+// those of the rows.
 bool StageConstraints::slides_share_load() const {
-  if (!system_.is_redundant() || slides_ == 0) return false;
-  const auto rank = [](MatX columns) {
-    for (Eigen::Index r = 0; r < columns.cols(); ++r)
-      if (const double size = columns.col(r).norm(); size > 0.0) columns.col(r) /= size;
-    Eigen::ColPivHouseholderQR<MatX> factor;
-    factor.setThreshold(kAlike);
-    factor.compute(columns);
-    return factor.rank();
-  };
-  for (const Node* node : {&nodes_.front(), &nodes_.back()})
-    if (rank(node->F) > rank(node->W)) return true;
-  return false;
+  return system_.is_redundant() && slides_ > 0 && forces_exceed_rows();
 }
 
 // Besides what the correction moves, which is in it.

@@ -24,23 +24,18 @@
 #include <memory>
 #include <vector>
 
-#include "base/lobatto.hpp"
 #include "base/reduction.hpp"
-#include "model/constraints.hpp"
-#include "model/placement.hpp"
 #include "step/path.hpp"
-#include "step/phase_rows.hpp"
 #include "step/raised_nodes.hpp"
 #include "step/row_system.hpp"
 #include "step/slip_projection.hpp"
+#include "step/stage_nodes.hpp"
 #include "step/stage_response.hpp"
-#include "step/stages.hpp"
-#include "step/step_equations.hpp"
 #include "step/stiff_terms.hpp"
 
 namespace contactvi {
 
-class StageConstraints {
+class StageConstraints : private StageNodes {
  public:
   StageConstraints(const Tree& tree, int stages);
 
@@ -98,33 +93,13 @@ class StageConstraints {
   void accept() { forces_ = sum_ / h_; }
 
  private:
-  struct Node {
-    double t = 0.0;
-    VecX q, X, phi, rate;
-    // Gradients, tangents of sliding contacts, directions in which impulses act: (nv, m), (nv, 2 slides), (nv, m).
-    MatX W, T, F;
-    // Along the slip and across it, (nv, slides).
-    MatX along, across;
-    MatX chart_W, chart_F, chart_across;  // by the chart at the start of the step
-    VecX slip_across;                     // velocities
-    Placements at;
-    MotionValues motions;  // at t
-    explicit Node(const Tree& tree);
-  };
   // An unknown of the stage equations: the impulse of a row at a node, or the direction of a slip there.
   int unknowns() const { return rows_ * stages_ + slides_ * (stages_ - 1); }
   int unknown_at(int node, int row) const { return node * rows_ + row; }
   int direction_at(int node, int slide) const { return rows_ * stages_ + (node - 1) * slides_ + slide; }
   int node_of(int unknown) const;
-  void resize();
-  void place(Node& node, int number);
-  void direct(Node& node, int number);
-  void to_chart(const Node& node, const MatX& from, MatX& to) const;
-  void place_rates(const Stages& stages);
   void find_slips(StepEquations& equations, Stages& stages);
   bool turned(int node, int slide) const { return turns_[static_cast<std::size_t>(node * slides_ + slide)] % 2 == 1; }
-  void add_impulses();
-  void impulse_at(int node, bool chart);
   void set_charts(const Stages& stages);
   template <class Visit>
   void each_chart(Visit visit) const;
@@ -140,28 +115,16 @@ class StageConstraints {
   bool close_slides(StepEquations& equations, VecRef p1);
   bool keeps_phase() const;
 
-  const Tree* tree_;
-  PhaseRows* phase_ = nullptr;
-  const VecX* load_ = nullptr;
-  const LobattoTable* table_;
-  int fixed_, rows_, stages_;     // rows of the constraints, of all, of the stages
-  int slides_ = 0, rolling_ = 0;  // sliding contacts, rows of velocities
-  VecX q0_, p0_, p_start_, impulse_;
-  double h_ = 0.0;
-  std::vector<Node> nodes_;  // s + 1
-  MatX lambda_;              // (m, s + 1)
-  MatX angles_, slips_;      // (slides, s + 1)
-  MatX answers_;  // of the same shape: what friction answers across the slip to a turn of its direction, <= 0
+  MatX answers_;  // (slides, s + 1): what friction answers across the slip to a turn of its direction, <= 0
   // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps
   // the direction of the node before it, so that the equations stay smooth beyond the place where the slip ends.
   std::vector<int> turns_;
   MatX to_nodes_;  // (s, s): velocities at the stages -> displacements at the nodes after the first, over h
   RaisedNodes raised_;
-  StagePanel displaced_;     // of one node, (nv, columns)
-  std::vector<MatX> rolls_;  // per stage: W of all rows of the phase there, (nv, count)
+  StagePanel displaced_;  // of one node, (nv, columns)
   StepPath path_;
   MatX stage_rates_;
-  VecX v0_, q_stage_, X_stage_, phi_, v_node_;
+  VecX v_node_;
   bool changed_turns_ = false;  // since the matrix was made
   bool knows_end_ = false;      // whether v1_ is near the velocity at the end of this step
   // Of a unit of each unknown: the momenta that the stages get, and what these change of their rates and velocities.
