@@ -14,9 +14,9 @@ class HeldSlips {
   // Takes a step with its nodes, which are to stay alive; v0: velocity at its start. False where a slip turns back
   // within the step.
   bool take(const HeldStepRecord& step, std::vector<HeldNode>& nodes, const VecX& v0);
-  // What the slips across change by over the step, (slides,), at node k, where the rates at the stages change by du, the
-  // velocities at both ends by dv0 and dv1, the displacements of the nodes by dX, (nv, nodes), the start by dq0, the
-  // length by dh, and the direction at the node by turned.
+  // What the slips across change by over the step, (slides,), at node k, where the rates at the stages change by du,
+  // the velocities at both ends by dv0 and dv1, the displacements of the nodes by dX, (nv, nodes), the start by dq0,
+  // the length by dh, and the direction at the node by turned.
   VecX change(int k, const MatX& du, const VecX& dv0, const VecX& dv1, const MatX& dX, const VecX& dq0, double dh,
               const VecX& turned) const;
   // From their gradients, (slides (stages - 1),), to those in the velocities at the start and at the end.
