@@ -788,6 +788,10 @@ class KeptRun:
     def sweeps(self) -> int: ...
 
     @property
+    def contact_changes(self) -> int:
+        """Begins, ends and slips of persistent contacts."""
+
+    @property
     def dense_steps(self) -> int: ...
 
     @property

@@ -253,7 +253,10 @@ class _Search:
             return _whole(self._against_finer(found), floor)
         apart = auto_runs.distances(companion, found)
         self._growth = max(self._growth, min(largest(apart), size) / companion.level**2)
-        return _by_law(apart, before, ratio, max(floor, _left_over(self._growth, found, size)), size)
+        # Where contacts persist two runs may have one error in common: that of a slip that turns faster than the steps
+        # of either. Two runs are then no proof of a law, and their whole distance counts.
+        least = 1.0 if found.touched else 1.0 / LEAST
+        return _by_law(apart, before, ratio, max(floor, _left_over(self._growth, found, size)), size, least)
 
     def _smooth_part(self, found: AutoRun, judged: Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
@@ -297,17 +300,19 @@ def _left_over(growth: float, found: AutoRun, size: float) -> float:
     return growth * (_EPS + found.stage_tol) * size * math.sqrt(found.run.nodes)
 
 
-def _by_law(apart: Array, before: Judged | None, ratio: float, floor: float, size: float) -> Judged:
+def _by_law(
+    apart: Array, before: Judged | None, ratio: float, floor: float, size: float, least: float = 1.0 / LEAST
+) -> Judged:
     """Return the judgement of a smooth run by the law of its steps, as far as that can be relied on.
 
-    The first pair of runs has shown nothing about the law: their errors are taken to differ by LEAST at most. A third
-    run shows how much of the law's exponent the motion has between the first two (less where their steps are too long
-    for the law), and the same part is expected of the last two, over at most the square of the fall that was seen.
+    The first pair of runs has shown nothing about the law: no less than a part `least` of their distance is taken. A
+    third run shows how much of the law's exponent the motion has between the first two (less where their steps are too
+    long for the law), and the same part is expected of the last two, over at most the square of the fall that was seen.
 
     Args:
         before: what the companion was judged to be; the rest as in `judge_contact`.
     """
-    distance, least, share = largest(apart), 1.0 / LEAST, ratio / (1.0 + ratio)
+    distance, share = largest(apart), ratio / (1.0 + ratio)
     lawful = distance < LOST * size if before is None else distance < _FOLLOWS * before.estimate
     confirmed = before is not None and lawful and before.lawful and distance > 0.0
     if before is not None and confirmed:

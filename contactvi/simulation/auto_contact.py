@@ -21,14 +21,14 @@ from contactvi.simulation.auto_runs import AutoRun, distances, largest
 Array = NDArray[np.float64]
 
 COMPANION = 30.0  # error of the companion over that of the run, by the law
-LEAST = 10.0  # ratio of the errors of two runs: more is not taken for granted, though the law says so
+LEAST = 10.0  # ratio of the errors of two runs: no more is expected, though the law says so
 LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
 SHORTEST = 1e-6  # [s] step in contact
 _LONGEST = 2e-2  # [s]
 _STEP = 0.9  # [s] step in contact / root of tol to begin with: about 1e-3 s for tol = 1e-6,
 _TOLS = (1e-6, 1e-4)  # [m, rad] and as for these beyond them
 _AIM = 0.3  # of tol: what the law is to give; a margin costs in proportion
-_UNSURE = 3.0  # as LEAST, where no third run has confirmed the law
+_FARTHER = 3.0  # times the distance of two runs that follow no law: their error may be as large
 _STRAYS = 2  # pairs of runs on the same motion that do not follow the law: then it is given up
 _HALF = 0.5  # part of the steps of a run with which it is looked whether the law holds
 # Contact iterations of all runs together over those of one run with steps of 1e-3 s (of dt_contact, if that is
@@ -133,10 +133,9 @@ def judge_contact(
         earlier = _envelope(before.apart) if len(before.apart) == len(apart) else largest(before.apart)
         lawful = bool((apart <= math.sqrt(min(fall, 1.0)) * earlier + floor).all())
         confirmed = lawful and before.lawful
-    least = LEAST if confirmed else _UNSURE if before is None else 1.0
-    estimate = distance * max(min(ratio, 1.0), 1.0 / least) if lawful else distance
+    estimate = distance
     if before is not None and not lawful:  # how far two runs of such a motion are apart is a matter of chance
-        estimate = max(estimate, min(largest(before.apart), _UNSURE * distance))
+        estimate = max(estimate, min(largest(before.apart), _FARTHER * distance))
     strays = (before.strays if before is not None else 0) + int(follows and not lawful)
     by_law = distance * max(ratio, 1.0 / LEAST)
     return Judged(max(floor, estimate), by_law, apart, ratio, lawful, confirmed, strays)

@@ -53,6 +53,11 @@ class AutoRun:
         return self.contact_time > 0.0
 
     @property
+    def touched(self) -> bool:
+        """Whether contacts have persisted, in steps of any kind."""
+        return self.in_contact or self.run.contact_changes > 0
+
+    @property
     def took_dense_steps(self) -> bool:
         """Whether there were dense steps, whose error follows no law."""
         return self.run.dense_steps > 0
@@ -86,7 +91,7 @@ def distances(other: AutoRun, found: AutoRun, ended: bool = False) -> Array:
     Args:
         ended: whether both ended before their time; then up to the earlier end.
     """
-    times = _CONTACT_TIMES if found.in_contact else _TIMES
+    times = _CONTACT_TIMES if found.touched else _TIMES
     return found.run.distances(other.run, times, found.in_contact, ended)
 
 

@@ -101,6 +101,9 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       .def_prop_ro("nodes", [count](const Own& own) { return count(own.run.recording.t.size()); })
       .def_prop_ro("segments", [count](const Own& own) { return count(own.run.recording.segments.t.size()); })
       .def_prop_ro("sweeps", [](const Own& own) { return own.run.counters.steps.stage_iterations; })
+      .def_prop_ro(
+          "contact_changes", [count](const Own& own) { return count(own.run.recording.changes.size()); },
+          "Begins, ends and slips of persistent contacts.")
       .def_prop_ro("dense_steps", [](const Own& own) { return own.run.state.dense_steps; })
       .def_prop_ro("contact_iterations", [](const Own& own) { return own.run.counters.contact.contact_iterations; })
       .def_prop_ro(

@@ -21,7 +21,7 @@ constexpr double kAlike = 1e-6;     // of unit vectors: directions of forces tha
 constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which a row is rounding
 // [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
-constexpr int kMostTurns = 3;  // see find_slips
+constexpr int kMostTurns = 7;  // see find_slips
 }  // namespace
 
 StageConstraints::Node::Node(const Tree& tree) : q(tree.nq), X(VecX::Zero(tree.nv)), at(tree) {}
@@ -230,7 +230,7 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
     slips_.col(k) = nodes_[k].along.transpose() * v_node_;
     nodes_[k].slip_across = nodes_[k].across.transpose() * v_node_;
     for (int j = 0; j < slides_; ++j) {
-      // The first iterations may show a slip that has turned back and has not; what is seen a second time stays.
+      // The first iterations may show a slip that has turned back and has not; what changes on and on stays at last.
       int& seen = turns_[static_cast<std::size_t>(k * slides_ + j)];
       const bool back = slips_(j, k) < SlipProjection::kTurned * answers_(j, k);
       if (back == (seen % 2 == 1) || seen >= kMostTurns) continue;
@@ -609,6 +609,10 @@ bool StageConstraints::keeps_phase() const {
     if (!phase_->by_rate(r - fixed_) && !(std::abs(end.phi[r]) <= kHeld)) return false;
     if (!(std::abs(end.W.col(r).dot(v1_)) <= kHeldRate * speed)) return false;
   }
+  // Equations with the direction of another node for a slip that has not turned back have a solution, but not that one.
+  for (int k = 1; k < stages_; ++k)
+    for (int j = 0; j < slides_; ++j)
+      if (turned(k, j) && slips_(j, k) > 0.0) return false;
   return true;
 }
 

@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 
+import contactvi as cvi
+from contactvi.states import States
+
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 SEED = 12
 
@@ -18,11 +21,25 @@ def estimates(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module("estimates")
 
 
+@pytest.mark.parametrize(
+    ("family", "seed", "until", "coarse"), [("box tumbles", 215, 0.3757, 10), ("robot stands", 111, 0.107, 14)]
+)
+def test_a_slip_that_has_just_begun_has_the_direction_of_its_law(estimates, family, seed, until, coarse):
+    """Iterations may see slips turn back that do not: a step may not end with the directions of such ones."""
+    motion, _ = estimates.estimate_scenes.make(family, seed)
+    ends = []
+    for steps in (coarse, 10 * coarse):
+        traj = cvi.simulate(motion.scene, motion.q, motion.v, until, dt=until / steps, order=16, dt_contact=1e-4)
+        assert traj.stats.contact_steps == 0
+        ends.append(traj.q[-1:])
+    assert States(motion.scene.model).distance(*ends)[0] < 1e-9
+
+
 @pytest.mark.slow
 def test_estimates_of_a_motion_of_each_family(estimates):
     rows = [estimates.measure(family, SEED) for family in estimates.estimate_scenes.FAMILIES]
     told = [row for row in rows if row.told]
     assert len(told) >= 16, rows  # the others multiply errors
-    # Below a third of the true error, without a warning: 1.4 % of 735 motions, of which this is a sample.
-    assert len([row for row in rows if row.fault]) <= 1
+    # Below a third of the true error, without a warning.
+    assert not [row for row in rows if row.fault]
     assert not [row for row in told if row.error > row.tol and not row.warned]

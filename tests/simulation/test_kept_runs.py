@@ -286,6 +286,12 @@ def test_no_pair_of_runs_is_trusted_beyond_what_was_seen():
     assert second.estimate == pytest.approx(1e-5 / 101.0**2)
 
 
+def test_the_first_pair_with_contact_is_as_wrong_as_it_is_apart():
+    first = adaptive._by_law(np.array([1e-3]), None, 1e-9, 0.0, 1e3, least=1.0)
+    assert (first.lawful, first.estimate) == (True, 1e-3)
+    assert adaptive._by_law(np.array([1e-5]), first, 1e-30, 0.0, 1e3, least=1.0).confirmed
+
+
 def test_runs_that_lost_each_other_are_as_wrong_as_they_are_apart():
     first = adaptive._by_law(np.array([1.0]), None, 1e-2, 0.0, 5.0)
     assert (first.lawful, first.estimate) == (False, 1.0)
