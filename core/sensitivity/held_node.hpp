@@ -15,6 +15,9 @@
 
 namespace contactvi {
 
+// Of the speeds: slip below it is rest, and has no direction.
+constexpr double kStillSlip = 1e-11;
+
 class HeldNode {
  public:
   explicit HeldNode(const Scene& scene);

@@ -28,7 +28,7 @@ void HeldStepAdjoint::take(const HeldStepRecord& step, const VecX& tau, const Se
 template <class Entry>
 HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, ContactStepDirection& direction, Entry entry) {
   HeldStepTangent& t = tangent_;
-  Columns found{MatX(t.unknowns(), count), MatX(t.end_size(), count)};
+  Columns found{MatX(t.unknowns(), count), MatX(t.end_.size(), count)};
   const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
   for (int k = 0; k < count; ++k) {
     entry(k) = 1.0;
@@ -40,7 +40,7 @@ HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, ContactStepDirectio
 
 HeldStepAdjoint::Columns HeldStepAdjoint::turn_columns() {
   HeldStepTangent& t = tangent_;
-  Columns found{MatX(t.unknowns(), t.slides_), MatX(t.end_size(), t.slides_)};
+  Columns found{MatX(t.unknowns(), t.slides_), MatX(t.end_.size(), t.slides_)};
   const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
   const ContactStepDirection nothing;
   for (int j = 0; j < t.slides_; ++j)
@@ -48,46 +48,13 @@ HeldStepAdjoint::Columns HeldStepAdjoint::turn_columns() {
   return found;
 }
 
-// From the gradient in the end to that in the end before its impulse.
-void HeldStepAdjoint::pass_end(const VecX& lend, const VecX& mu, StepParameters& sums, VecX& lq, VecX& lp) {
-  HeldStepTangent& t = tangent_;
-  const HeldStepRecord& s = *t.record_;
-  const HeldNode& end = t.nodes_.back();
-  const VecX lslips = lend.tail(t.rest_speeds_.cols());
-  lq = lend.head(t.nv_) + t.rest_changes_.transpose() * lslips;
-  lp = lend.segment(t.nv_, t.nv_);
-  VecX lv = t.rest_speeds_ * lslips;
-  if (t.turns() > 0) {
-    const VecX lrate = t.slips_by_rate(t.raised_.rate_by_end, t.raised_.moved_by_end).transpose() * mu.tail(t.turns());
-    lv += end.chart().rate_transposed(lrate);
-  }
-  t.masses_.solve_mass(lv);
-  VecX lfaster = t.end_system_.solve_transposed(end.given().transpose() * (lp + lv));
-  lfaster(t.undirected_).setZero();
-  const VecX lheavier = -lv - t.MinvC_ * lfaster;
-  lp -= lheavier;
-  adjoint_.add_momentum_parameters(end.configuration(), s.v1, lheavier, sums);
-  lq += t.end_mass_change_.transpose() * lheavier + t.end_watched_.transpose() * lfaster +
-        end.force_change().transpose() * lp;
-}
-
-// From the gradients in the directions at the start to those in what the velocity there depends on besides the state.
-void HeldStepAdjoint::pass_start(VecX lturns, const VecX& mu, StepParameters& sums) {
-  HeldStepTangent& t = tangent_;
-  t.slip_start_.pass(lturns, sums);
-  VecX lv = t.slips_by_rate(t.raised_.rate_by_start, t.raised_.moved_by_start).transpose() * mu.tail(t.turns());
-  for (int j = 0; j < t.slides_; ++j)
-    if (lturns[j] != 0.0) lv += (lturns[j] / t.start_slips_[j]) * t.nodes_[0].watched().col(t.rows_ + j);
-  adjoint_.add_momentum_parameters(t.record_->q0, t.v0_, -(t.inverse_start_ * lv), sums);
-}
-
 bool HeldStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, ContactStepGradient& g,
                             StepParameters& sums) {
   constexpr int kPasses = 3;  // the first solves, the others take the rounding off
-  const HeldStepTangent& t = tangent_;
-  VecX lend = VecX::Zero(t.end_size()), lq_before, lp_before;
+  HeldStepTangent& t = tangent_;
+  VecX lend = VecX::Zero(t.end_.size());
   lend.head(2 * t.nv_) << lq, lp;
-  if (t.rest_speeds_.cols() > 0) lend[2 * t.nv_] = lslip;
+  if (t.end_.rests() > 0) lend[2 * t.nv_] = lslip;
   const VecX by_unknowns = t.ends_.transpose() * lend;
   VecX mu = t.solve_transposed(by_unknowns);
   for (int pass = 1; pass < kPasses; ++pass) mu += t.solve_transposed(by_unknowns + t.matrix_.transpose() * mu);
@@ -101,8 +68,16 @@ bool HeldStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Contac
   g.mu = part(by_mu_);
   g.t = part(by_t_)[0];
   g.h = part(by_h_)[0];
-  if (t.slides_ > 0) pass_start(part(by_start_), mu, sums);
-  pass_end(lend, mu, sums, lq_before, lp_before);
+  VecX lv = VecX::Zero(t.nv_), lq_before, lp_before, lheavier;
+  if (t.slides_ > 0) {
+    const VecX lslips = mu.tail(t.turns());
+    t.start_.pass(part(by_start_), t.slips_.start_gradient(lslips), adjoint_, sums);
+    lv = t.slips_.end_gradient(lslips);
+  }
+  const HeldNode& end = t.nodes_.back();
+  t.end_.pass(lend, lv, lq_before, lp_before, lheavier);
+  lq_before += end.force_change().transpose() * lp_before;
+  adjoint_.add_momentum_parameters(end.configuration(), t.record_->v1, lheavier, sums);
   adjoint_.take_multipliers(mu.head(t.stage_unknowns()).reshaped(t.nv_, t.stages_), lq_before, lp_before);
   adjoint_.add_parameters(sums);
   return mu.allFinite() && g.q.allFinite() && g.p.allFinite();

@@ -31,9 +31,6 @@ class HeldStepAdjoint {
   template <class Entry>
   Columns columns(int count, ContactStepDirection& direction, Entry entry);
   Columns turn_columns();
-  void pass_end(const VecX& lend, const VecX& mu, StepParameters& sums, VecX& lq, VecX& lp);
-  void pass_start(VecX lturns, const VecX& mu, StepParameters& sums);
-
   HeldStepTangent tangent_;
   StepAdjoint adjoint_;
   Columns by_q_, by_p_, by_tau_, by_t_, by_h_, by_anchors_, by_mu_;

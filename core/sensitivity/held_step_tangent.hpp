@@ -10,22 +10,21 @@
 // where a material point sticks its displacement counts from an anchor, or from the start, that of a joint from the
 // start. Rows of surfaces that roll, and of joints without a coordinate, stand at the stages instead,
 // W_i^T dv_i + (dW_i . dq_i)^T v_i = 0. And the slips across their directions stay zero, of the path that is raised by
-// the velocities at both ends (step/raised_nodes.hpp). As a matrix
+// the velocities at both ends (held_slips.hpp). As a matrix
 //   [A B; C D] (dU, dLambda and directions) + (right sides) = 0,
 // made column by column, it is solved by a factor of A and one of D - C A^-1 B, in which rows may depend on each other.
 // The velocity at the end, and the impulse and the directions there, follow from all that is before it, by the rows and
-// slips there; they are functions in these equations. The direction at the start is that of the slip there, or where it
-// begins (slip_start.hpp).
+// slips there (held_end.hpp); they are functions in these equations, and so are the directions at the start
+// (held_start.hpp).
 #pragma once
 
 #include <Eigen/LU>
 
 #include "contact/held_step_record.hpp"
 #include "sensitivity/contact_step_tangent.hpp"
-#include "sensitivity/end_force.hpp"
-#include "sensitivity/held_node.hpp"
-#include "sensitivity/slip_start.hpp"
-#include "step/raised_nodes.hpp"
+#include "sensitivity/held_end.hpp"
+#include "sensitivity/held_slips.hpp"
+#include "sensitivity/held_start.hpp"
 #include "step/step_tangent.hpp"
 
 namespace contactvi {
@@ -45,7 +44,7 @@ class HeldStepTangent {
   const VecX& slip_changes() const { return slip_changes_; }
   const VecX& slip_sizes() const { return slip_sizes_; }
   // Its end, which a force ends; nominal: length of a nominal step [s].
-  PhaseEnd phase_end(double nominal);
+  PhaseEnd phase_end(double nominal) { return end_.phase_end(nominal, phase_, stages_); }
   // Of a contact's material point: the derivative, by q0, of its place in the frame of the plane's body, (3, nv).
   MatX start_place_change(std::size_t contact) { return nodes_[0].place_change(record_->contacts[contact].point); }
 
@@ -58,39 +57,27 @@ class HeldStepTangent {
   int first_guard() const;  // of its contacts; -1: it has none
   void place_nodes();
   void give_impulses();
-  void take_start(const VecX& tau, const Servo* servo);
-  void take_end();
-  void take_rests();
-  void take_slips();
   void make_matrix();
   int stage_unknowns() const { return nv_ * stages_; }
+  bool slides() const { return slides_ > 0 || !record_->joints.empty(); }
   int turns() const { return slides_ * (stages_ - 1); }
   int unknowns() const { return stage_unknowns() + rows_ * stages_ + turns(); }
   int held() const { return rows_ - fixed_; }
-  Eigen::Index end_size() const { return 2 * nv_ + rest_speeds_.cols(); }
   int turns_at(int node) const { return stage_unknowns() + rows_ * stages_ + (node - 1) * slides_; }
   // The impulses of a node among the unknowns x, with the directions there, (rows + slides,); start: those of the
   // first.
   VecX of_node(const VecX& x, int node, const VecX& start) const;
   // The equations of the rows at the node after it: (rows,).
   void set_node(VecRef x, int node, const VecX& values) const;
-  VecX start_sizes(const ContactStepDirection& direction) const;
-  VecX speed_sizes(const ContactStepDirection& direction, const MatX& C, const MatX& MinvC) const;
   VecX anchor_changes(const ContactStepDirection& direction, const VecX& start) const;
   VecX friction_changes(const ContactStepDirection& direction) const;
   VecX force_change(int node, const ContactStepDirection& direction, const VecX& dq, const VecX& impulses) const;
-  void check_start(const ContactStepDirection& direction);
-  VecX start_velocity_change(const ContactStepDirection& direction);
   VecX start_turns(const ContactStepDirection& direction);
   // Along a direction and with changes x of the unknowns, (unknowns,): what the equations are off by, and what the end
-  // (q1, p1) changes by, with the slips that come to rest there, (end_size,). start: changes of the directions at the
-  // start. False where the impulse at the end does not exist; size: of the terms of its equations.
+  // changes by, as HeldEnd has it. start: changes of the directions at the start. False where the impulse at the end
+  // does not exist; size: of the terms of its equations.
   bool assess(const ContactStepDirection& direction, const VecX& x, const VecX& start, const VecX& size, VecRef off,
               VecRef end);
-  bool add_end_impulse(const ContactStepDirection& direction, const VecX& size, VecRef end, VecX& dv1);
-  void assess_slips(const ContactStepDirection& direction, const VecX& x, const VecX& dv1, VecRef off);
-  // What the slips across the directions change by with the rate at the start, or at the end: (turns, nv).
-  MatX slips_by_rate(const VecX& rate_share, const VecX& moved_share) const;
   // x with matrix x + right = 0; and with its transpose.
   // size: of the terms of the equations of rows; agree: whether those that depend on each other do not contradict.
   VecX solve_matrix(const VecX& right, const VecX& size, bool& agree) const;
@@ -102,9 +89,7 @@ class HeldStepTangent {
   bool take_branch_;
   int fixed_, rows_ = 0, slides_ = 0;  // rows of the constraints, of all; contacts that slide
   const LobattoTable* table_;
-  RaisedNodes raised_;
   StepTangent step_;
-  Integrator masses_;  // its node is at the end
   Guards guards_;
   PersistentRows phase_;
   const HeldStepRecord* record_ = nullptr;
@@ -120,26 +105,10 @@ class HeldStepTangent {
   MatX velocities_, impulses_;  // at the stages, (nv, s)
   MatX dX_, dX_nodes_;          // along the present direction
   StepDirection step_direction_;
-  // The start, where contacts slide: the velocity, the inverse mass matrix, d(M v)/dq, changes of the speeds that are
-  // zero and of those along the slips, and these.
-  VecX v0_;
-  MatX inverse_start_, start_mass_change_, start_watched_, start_along_;
-  VecX start_slips_;
-  SlipStart slip_start_;
-  // The end: d(M v)/dq, changes of the speeds, M^-1 of what is given and of what is watched there, the equations of the
-  // impulse and the directions.
-  MatX end_mass_change_, end_watched_, end_along_, MinvF_, MinvC_;
-  SharedLoad end_system_;
-  std::vector<int> undirected_;  // directions there that nothing determines
-  // Of the slips that come to rest there: gradients by the velocity, (nv, count), with M^-1 of these, and by the
-  // configuration, (count, nv).
-  MatX rest_speeds_, rest_changes_, MinvR_;
-  // At the nodes between, of the path raised: charts, rates, displacements, changes of the slips across, slips along.
-  VecX end_rate_;
-  std::vector<NodeChart> raised_charts_;
-  MatX raised_rates_, raised_X_, node_slips_;
-  std::vector<MatX> node_watched_;
-  // The matrix, and what a unit of each unknown changes the end by, (end_size, unknowns).
+  HeldStart start_;  // where something slides
+  HeldSlips slips_;  // where contacts do
+  HeldEnd end_;
+  // The matrix, and what a unit of each unknown changes the end by, (end_.size(), unknowns).
   MatX matrix_, ends_;
   Eigen::PartialPivLU<MatX> stage_factor_;
   MatX answers_;  // A^-1 B
