@@ -127,9 +127,9 @@ class Options:
             taken; there and with dt="auto" "steps" is refused.
         record: "states", or "gradient": also what the derivatives of the run need (Trajectory.sensitivity), the
             polynomials of the steps and the inputs. Steps of one length only; with "dtec" and "mhc" those with
-            constraints have order 2 then. What has no derivative is refused before the run where it is known then. Of a Simulator also
-            False: nothing but the present state and its last step, and a number n >= 1: the last n steps; not with a
-            ledger and "dtec".
+            constraints have order 2 then. What has no derivative is refused before the run where it is known then. Of a
+            Simulator also False: nothing but the present state and its last step, and a number n >= 1: the last n
+            steps; not with a ledger and "dtec".
         start: of a start with overlaps: "given" refuses it, "separate" moves it apart as Scene.separate does, with the
             limits that this has by default; Trajectory.separation tells what was moved. Derivatives by q0 are those by
             the start that was found.
