@@ -5,7 +5,6 @@
 namespace contactvi {
 
 ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
-
     : scene_(&scene),
       run_(&run),
       masses_(scene.tree, 1, 1e-12, 1),

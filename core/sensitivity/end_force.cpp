@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/differences.hpp"
 #include "model/coordinates.hpp"
 #include "step/energy.hpp"
 
@@ -224,8 +225,7 @@ double EndForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, const 
   const double step = kStep / size;
   VecX q(scene_->tree.nq);
   double total = 0.0;
-  for (const auto& [count, weight] :
-       {std::pair(-2.0, 1.0), std::pair(-1.0, -8.0), std::pair(1.0, 8.0), std::pair(2.0, -1.0)}) {
+  for (const auto& [count, weight] : kDifference) {
     const double by = count * step;
     integrate(scene_->tree, s.q, dq, by, q);
     VecX tau = *tau_;
@@ -233,7 +233,7 @@ double EndForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, const 
     const VecX mu = dmu.size() > 0 ? VecX(mu_ + by * dmu) : mu_;
     total += weight * force(q, s.p + by * dp, tau, mu);
   }
-  return total / (12.0 * step);
+  return total / (kDifferenceParts * step);
 }
 
 double EndForce::change(const StepParameters& parameters) {

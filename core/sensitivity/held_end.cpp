@@ -21,10 +21,7 @@ void HeldEnd::take(HeldNode& node, const HeldStepRecord& step, const PersistentR
   MinvC_ = node.watched();
   masses_.solve_masses(MinvF_);
   masses_.solve_masses(MinvC_);
-  mass_change_.resize(nv_, nv_);
-  const VecX none = VecX::Zero(nv_);
-  for (int k = 0; k < nv_; ++k)
-    momenta.momentum(node.configuration(), step.v1, VecX::Unit(nv_, k), none, mass_change_.col(k));
+  mass_change_ = momenta.momentum_changes(node.configuration(), step.v1);
   node.change_speeds(step.v1, watched_change_, along_change_);
   MatX A = node.watched().transpose() * MinvF_;
   A.bottomRightCorner(slides, slides).diagonal() -= node.along().transpose() * step.v1;

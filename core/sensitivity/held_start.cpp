@@ -21,9 +21,7 @@ void HeldStart::take(HeldNode& node, const HeldStepRecord& s, PersistentRows& ph
   inverse_.setIdentity(n, n);
   masses_.solve_masses(inverse_);
   v0_ = inverse_ * s.p0;
-  mass_change_.resize(n, n);
-  const VecX none = VecX::Zero(n);
-  for (Eigen::Index k = 0; k < n; ++k) momenta.momentum(s.q0, v0_, VecX::Unit(n, k), none, mass_change_.col(k));
+  mass_change_ = momenta.momentum_changes(s.q0, v0_);
   MatX watched;
   node.change_speeds(v0_, watched, along_change_);
   across_change_ = watched.bottomRows(slides);

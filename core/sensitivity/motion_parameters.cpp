@@ -1,5 +1,7 @@
 #include "sensitivity/motion_parameters.hpp"
 
+#include "base/differences.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -29,9 +31,8 @@ void MotionParameters::take(const VecX& q, const VecX& v, const VecX& a, const S
   const double speed = 1.0 + v.cwiseAbs().maxCoeff(), rate = std::max(speed, a.cwiseAbs().maxCoeff() / speed);
   const double step = kMotion / rate;
   around_.clear();
-  for (const auto& [count, weight] :
-       {std::pair(-2.0, 1.0), std::pair(-1.0, -8.0), std::pair(1.0, 8.0), std::pair(2.0, -1.0)}) {
-    Moment at{VecX(tree_->nq), v + count * step * a, weight / (12.0 * step)};
+  for (const auto& [count, weight] : kDifference) {
+    Moment at{VecX(tree_->nq), v + count * step * a, weight / (kDifferenceParts * step)};
     integrate(*tree_, q, v, count * step, at.q);
     around_.push_back(std::move(at));
   }

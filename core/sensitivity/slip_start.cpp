@@ -3,6 +3,7 @@
 #include <Eigen/QR>
 #include <cmath>
 
+#include "base/differences.hpp"
 #include "model/coordinates.hpp"
 #include "step/energy.hpp"
 
@@ -71,11 +72,10 @@ MatX SlipStart::differences(Eigen::Index count, Size size, Move move) {
   MatX found = MatX::Zero(static_cast<Eigen::Index>(begins_.size()), count);
   for (Eigen::Index k = 0; k < count; ++k) {
     const double step = size(k);
-    for (const auto& [by, weight] :
-         {std::pair(-2.0, 1.0), std::pair(-1.0, -8.0), std::pair(1.0, 8.0), std::pair(2.0, -1.0)}) {
+    for (const auto& [steps, weight] : kDifference) {
       Place at = start_;
-      move(at, k, by * step);
-      found.col(k) += (weight / (12.0 * step)) * across(at)(begins_);
+      move(at, k, steps * step);
+      found.col(k) += (weight / (kDifferenceParts * step)) * across(at)(begins_);
     }
   }
   return found;

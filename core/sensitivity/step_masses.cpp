@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/differences.hpp"
 #include "base/error.hpp"
 
 namespace contactvi {
@@ -57,8 +58,8 @@ void StepMasses::take(const DenseStepRecord& step, const VecX& tau, const Servo*
   changes_.assign(static_cast<std::size_t>(3 * largest_ + 1), MatX::Zero(scene_->tree.nv, largest_));
   for (int k = 0; k < 3 * largest_ + 1; ++k) {
     const Of of = static_cast<Of>(k / largest_);
-    for (const auto& [count, weight] : {std::pair(-2, 1.0), std::pair(-1, -8.0), std::pair(1, 8.0), std::pair(2, -1.0)})
-      add(of, k % largest_, count * over[of], weight / (12.0 * over[of]), changes_[k]);
+    for (const auto& [count, weight] : kDifference)
+      add(of, k % largest_, count * over[of], weight / (kDifferenceParts * over[of]), changes_[k]);
   }
 }
 

@@ -97,7 +97,8 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
     slips_.col(k) = nodes_[k].along.transpose() * v_node_;
     nodes_[k].slip_across = nodes_[k].across.transpose() * v_node_;
     for (int j = 0; j < slides_; ++j) {
-      // The first iterations may show a slip that has turned back and has not; what changes on and on stays at last.
+      // The first iterations may show a slip that has turned back and has not. What changes on and on stays at last, so
+      // that the iterations can end; where it is wrong the step is not taken (keeps_phase).
       int& seen = turns_[static_cast<std::size_t>(k * slides_ + j)];
       const bool back = slips_(j, k) < SlipProjection::kTurned * answers_(j, k);
       if (back == (seen % 2 == 1) || seen >= kMostTurns) continue;

@@ -67,6 +67,14 @@ void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq
   if (tree_->lent_armature.size() > 0) dp -= tree_->lent_armature.cwiseProduct(dv);
 }
 
+MatX StepTangent::momentum_changes(const VecCRef& q, const VecCRef& v) {
+  const int n = tree_->nv;
+  const VecX none = VecX::Zero(n);
+  MatX found(n, n);
+  for (int k = 0; k < n; ++k) momentum(q, v, VecX::Unit(n, k), none, found.col(k));
+  return found;
+}
+
 void StepTangent::velocity_change(int stage, VecRef dv) const {
   const int S = stages_.padded();
   for (int d = 0; d < tree_->nv; ++d) dv[d] = shadow(stages_.v_)[d * S + stage];

@@ -61,6 +61,8 @@ class StepTangent {
   double energy_change() const;
   // dp of the momentum p = M(q) v along (dq, dv), (nv,).
   void momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef dp);
+  // Its derivative by q, (nv, nv).
+  MatX momentum_changes(const VecCRef& q, const VecCRef& v);
   // Adds to dp what the momentum p = M(q) v changes by with the inertias.
   void add_momentum(const VecCRef& q, const VecCRef& v, const StepParameters& parameters, VecRef dp);
   // Iterations of the last solve; 0: the matrix was factored.

@@ -59,11 +59,10 @@ def test_differences_have_the_steps_of_runs_for_derivatives(name, order):
     scene, q, v = make()
     if "linkage" in name:
         q, v = constrained_scenes.on_constraints(scene, q, v)
-    found = cvi.check_gradient(scene, q, v, duration, 0.01, order=order)
-    # One joint of the arm sticks, on which small columns depend little: differences lose digits of these.
-    small = name == "an arm with joint friction"
-    assert {column.believe for column in found.columns} <= {"both", "exact" if small else "both"}
-    assert max(column.worse.relative_difference for column in found.columns) <= (1e-6 if small else 1e-8)
+    # What sticks when is a matter of the steps, which makes jumps of their error in the differences.
+    found = cvi.check_gradient(scene, q, v, duration, 0.005, order=order)
+    assert {column.believe for column in found.columns} == {"both"}
+    assert max(column.worse.relative_difference for column in found.columns) <= 1e-8
 
 
 @pytest.mark.parametrize("e", [0.4, 1.0])
