@@ -279,9 +279,15 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   if (slides() && !take_branch_) start_.check(d);
   const int own = stage_unknowns();
   VecX x = VecX::Zero(unknowns()), off(unknowns()), end(end_.size());
-  const double q = std::max(d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0),
-               p = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0), h = record_->h;
-  const VecX size = end_.speed_sizes(q, p, h), none = VecX::Zero(unknowns() - own), start = start_turns(d);
+  const VecX none = VecX::Zero(unknowns() - own), start = start_turns(d);
+  assess(d, x, start, none.head(rows_ + slides_), off, end);
+  // What the direction alone changes, also of the time or the length.
+  const double q = std::max(
+                   {d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0, end.head(nv_).cwiseAbs().maxCoeff()}),
+               p = std::max({d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0,
+                             end.segment(nv_, nv_).cwiseAbs().maxCoeff()}),
+               h = record_->h;
+  const VecX size = end_.speed_sizes(q, p, h);
   VecX sizes(unknowns());
   for (int k = 0; k < stages_; ++k) {
     set_node(sizes, k, record_->h * size.head(rows_));
@@ -289,7 +295,7 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   }
   bool agree = true, settled = true;
   for (int pass = 0; pass < kPasses; ++pass) {
-    assess(d, x, start, size, off, end);
+    if (pass > 0) assess(d, x, start, size, off, end);
     x += solve_matrix(off, pass == 0 ? VecX(sizes.tail(none.size())) : none, pass == 0 ? agree : settled);
   }
   const bool ends = assess(d, x, start, size, off, end);

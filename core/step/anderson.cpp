@@ -5,31 +5,26 @@
 
 namespace contactvi {
 
-AndersonAcceleration::AndersonAcceleration(int nv, const Stages& stages)
-    : nv_(nv), s_(stages.count()), S_(stages.padded()) {}
-
-double AndersonAcceleration::dot(const AlignedArray& a, const AlignedArray& b) const {
+namespace {
+// In this order, whatever the instruction set.
+double dot(const VecX& a, const VecX& b) {
   double sum = 0.0;
-  for (int d = 0; d < nv_; ++d)
-    for (int i = 0; i < s_; ++i) sum += a[d * S_ + i] * b[d * S_ + i];
+  for (Eigen::Index i = 0; i < a.size(); ++i) sum += a[i] * b[i];
   return sum;
 }
+}  // namespace
 
-void AndersonAcceleration::push(const Stages& stages) {
-  const std::size_t size = static_cast<std::size_t>(nv_) * S_;
-  if (history_.empty())
-    for (int k = 0; k <= kDepth; ++k) history_.push_back({AlignedArray(size), AlignedArray(size), AlignedArray(size)});
+void AndersonAcceleration::push(const VecX& x, const VecX& f, const VecX& r) {
+  history_.resize(kDepth + 1);
   std::rotate(history_.begin(), history_.end() - 1, history_.end());
   Iteration &now = history_[0], &last = history_[1];
-  std::copy(stages.v(), stages.v() + size, now.v.data());
-  std::copy(stages.dv(), stages.dv() + size, now.f.data());
-  std::copy(stages.residual(), stages.residual() + size, now.r.data());
+  now.x = x;
+  now.f = f;
+  now.r = r;
   if (count_ == 0) return;
-  for (std::size_t i = 0; i < size; ++i) {
-    last.v[i] = now.v[i] - last.v[i];
-    last.f[i] = now.f[i] - last.f[i];
-    last.r[i] = now.r[i] - last.r[i];
-  }
+  last.x = x - last.x;
+  last.f = f - last.f;
+  last.r = r - last.r;
 }
 
 // Least squares |f - sum gamma_j df_j| by Cholesky of the Gram matrix, over as many columns as are independent.
@@ -59,14 +54,12 @@ int AndersonAcceleration::weigh(int columns, double* gamma) const {
   return used;
 }
 
-void AndersonAcceleration::apply(Stages& stages) {
-  push(stages);
+void AndersonAcceleration::apply(VecX& x, const VecX& f, const VecX& r) {
+  push(x, f, r);
   double gamma[kDepth];
   const int used = weigh(count_, gamma);
   count_ = std::min(count_ + 1, kDepth);
-  const std::size_t size = static_cast<std::size_t>(nv_) * S_;
-  for (int k = 0; k < used; ++k)
-    for (std::size_t i = 0; i < size; ++i) stages.v()[i] -= gamma[k] * history_[k + 1].v[i];
+  for (int k = 0; k < used; ++k) x -= gamma[k] * history_[k + 1].x;
 }
 
 }  // namespace contactvi

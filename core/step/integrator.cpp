@@ -28,7 +28,6 @@ Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterati
       iteration_(tol, max_iterations),
       ahead_(tree.nq, tree.nv, model_.lanes.balls > 0),
       start_(tree.nv, stages_),
-      acceleration_(tree.nv, stages_),
       v0_(tree.nv) {
   if (!constrained) return;
   constraints_ = std::make_unique<StageConstraints>(tree, stages);
@@ -40,6 +39,7 @@ Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterati
 void Integrator::hold(PhaseRows* rows) {
   if (!constraints_) return;
   constraints_->hold(rows);
+  solved_ = false;
   keeps_rows_ = constraints_->any();
   momentum_ = keeps_rows_ ? &constraints_->start_momentum() : &p0_;
   if (!keeps_rows_) stages_.clear_impulse();
@@ -62,7 +62,7 @@ bool Integrator::ends_well() {
 
 bool Integrator::solve_stages() {
   solved_ = false;
-  iteration_.begin(newton_);
+  iteration_.begin(newton_, std::exchange(keeps_factor_, false));
   acceleration_.clear();
   clear_turns();
   // What steps of a chosen length start from is good to many digits. The first iterations would only find the turns
@@ -113,6 +113,19 @@ void Integrator::judge_iteration() {
   else
     iteration_.judge(stages_);
   if (iteration_.forgets_acceleration()) acceleration_.clear();
+}
+
+void Integrator::accelerate() {
+  const int s = stages_.count(), S = stages_.padded(), nv = tree_->nv;
+  for (VecX* x : {&iterate_, &correction_, &left_}) x->resize(nv * s);
+  for (int d = 0; d < nv; ++d) {
+    std::copy_n(stages_.v() + d * S, s, iterate_.data() + d * s);
+    std::copy_n(stages_.dv() + d * S, s, correction_.data() + d * s);
+    std::copy_n(stages_.residual() + d * S, s, left_.data() + d * s);
+  }
+  acceleration_.apply(iterate_, correction_, left_);
+  for (int d = 0; d < nv; ++d)
+    for (int i = 0; i < S; ++i) stages_.v()[d * S + i] = iterate_[d * s + std::min(i, s - 1)];
 }
 
 bool Integrator::turns_too_far() {
@@ -313,6 +326,19 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
                             double tol) {
   const GaussTable& table = stages_.table();
   const int s = stages_.count(), S = stages_.padded();
+  // A step that keeps rows and was solved from the same state, in the search for an event, tells what this one is off
+  // from the path as well, and what its impulses are.
+  const double solved_part = h_ / path.h();
+  const bool again = keeps_rows_ && s > 1 && solved_ && stages_.start_time() == time_ &&
+                     (q0.array() == q0_.array()).all() && (p0.array() == p0_.array()).all();
+  if (again) {
+    off_path_.resize(tree_->nv, s);
+    for (int i = 0; i < s; ++i) {
+      path.velocity(solved_part * table.c[i], v0_);
+      for (int d = 0; d < tree_->nv; ++d) off_path_(d, i) = stages_.v()[d * S + i] - v0_[d];
+    }
+    constraints_->keep_start();
+  }
   from_ahead_ = false;
   begin(q0, p0, alpha * path.h(), tau);
   part_ = true;
@@ -320,15 +346,23 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
   why_ = "";
   for (int i = 0; i < s; ++i) {
     path.velocity(alpha * table.c[i], v0_);
+    if (again) v0_ += off_path_.col(i);
     for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
   }
   for (int i = s; i < S; ++i)
     for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
+  keeps_factor_ = again && constraints_->start_again(alpha / solved_part);
   const double own = iteration_.tol();
   iteration_.set_tol(tol);
-  const bool solved = solve_stages() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), solve_stages()));
+  bool solved = solve_stages();
+  if (!solved && node_velocity(q0_, p0_, v0_)) {
+    start_constant(v0_);
+    if (again) begin(q0, p0, alpha * path.h(), tau);
+    solved = solve_stages();
+  }
   iteration_.set_tol(own);
-  return solved && ends_well();
+  solved_ = solved && ends_well();
+  return solved_;
 }
 
 void Integrator::accept() {

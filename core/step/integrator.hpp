@@ -117,7 +117,7 @@ class Integrator final : public Stepper, public StepEquations {
   bool limits_truncation() const { return truncation_limit_ < std::numeric_limits<double>::infinity(); }
   bool exceeds_truncation();
   void judge_iteration();
-  void accelerate() { acceleration_.apply(stages_); }
+  void accelerate();
   bool start_by_ramp(const VecX& tau);
   bool turns_too_far();
 
@@ -135,7 +135,9 @@ class Integrator final : public Stepper, public StepEquations {
   Guide* guide_ = nullptr;  // of the next solve
   double guide_time_ = 0.0;
   AndersonAcceleration acceleration_;
-  VecX v0_;
+  VecX v0_, iterate_, correction_, left_;
+  MatX off_path_;
+  bool keeps_factor_ = false;  // of the step that begins: the matrix of the one before is good enough for it
   double residual_ = 0.0;
   int stage_iterations_ = 0;
   bool solved_ = false;

@@ -8,9 +8,12 @@ namespace contactvi {
 
 namespace {
 constexpr int kMostIterations = 30;
-// Of the speeds: what a change of direction moves that is rounding, and from which on rounding may keep it from
+// Of the speeds: what a change of directions moves that is rounding, and from which on rounding may keep it from
 // becoming less.
 constexpr double kExact = 1e-16, kNear = 1e-13;
+// Of what friction answers to a turn of its direction: a slip below it counts as it. Else rounding would turn contacts
+// that share a load against each other, which changes nothing but where all of them come to rest.
+constexpr double kStill = 1e-3;
 }  // namespace
 
 bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate,
@@ -46,6 +49,7 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
   for (int k = 0; k < kMostIterations; ++k) {
     weigh();
     const VecX w = to_W * weights, u = to_T * weights;
+    const double speed = 1.0 + w.cwiseAbs().maxCoeff() + u.cwiseAbs().maxCoeff();
     const MatX to_u = to_T * J;
     A.topRows(m).noalias() = to_W * J;
     residual.head(m) = w + rate;
@@ -56,7 +60,8 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
       slips[j] = c * u[2 * j] + s * u[2 * j + 1];
       char& back = turned[static_cast<std::size_t>(j)];
       if (slips[j] < kTurned * std::min(0.0, A(m + j, m + j))) back = 1;
-      A(m + j, m + j) -= slips[j];
+      const double still = kStill * std::abs(A(m + j, m + j));
+      A(m + j, m + j) -= std::abs(slips[j]) < still ? still : slips[j];
       if (back == 0) continue;
       A.row(m + j).setZero();
       A(m + j, m + j) = 1.0;
@@ -78,13 +83,11 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
     system_.solve(residual, now, change);
     if (!change.allFinite()) return false;
     lambda += change.head(m);
-    double moved = 0.0;
-    for (Eigen::Index j = 0; j < count; ++j) {
-      const double turn = std::clamp(change[m + j], -kFarTurn, kFarTurn);
-      angles[j] += turn;
-      moved = std::max(moved, std::abs(turn) * A.col(m + j).cwiseAbs().maxCoeff());
-    }
-    const double speed = 1.0 + w.cwiseAbs().maxCoeff() + u.cwiseAbs().maxCoeff();
+    const VecX turns = change.tail(count).cwiseMax(-kFarTurn).cwiseMin(kFarTurn);
+    angles += turns;
+    // By all turns together: contacts that share a load may turn against each other.
+    const double moved = std::max((A.topRightCorner(m, count) * turns).cwiseAbs().maxCoeff(),
+                                  (to_u.rightCols(count) * turns).cwiseAbs().maxCoeff());
     const bool settled = k > 0 && (moved <= kExact * speed || (moved <= kNear * speed && moved >= 0.5 * last));
     last = moved;
     if (!settled) continue;

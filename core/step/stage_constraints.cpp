@@ -2,12 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 #include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
 #include "model/coupling.hpp"
 #include "step/ball_chart.hpp"
 #include "step/projection.hpp"
+#include "step/stage_iteration.hpp"
 
 namespace contactvi {
 
@@ -19,7 +22,9 @@ constexpr double kTurns = 1e-15;    // [rad] to which the charts of spherical jo
 constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which a row is rounding
 // [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
-constexpr int kMostTurns = 7;  // see find_slips
+constexpr int kMostTurns = 7;    // see find_slips
+constexpr double kAimed = 1e-3;  // of the largest slip of a contact on a path: what is less may be an error of the path
+constexpr double kAlike = 0.05;  // of the length of a step: a step that differs by less has nearly the same matrix
 }  // namespace
 
 StageConstraints::StageConstraints(const Tree& tree, int stages)
@@ -52,10 +57,41 @@ void StageConstraints::begin(StepEquations& equations, const VecCRef& q0, const 
                              const VecX& tau) {
   tau_ = &tau;
   knows_end_ = false;
+  size_ = std::numeric_limits<double>::infinity();
+  aims_ = slides_ > 0 && stages_ > 1;
   violated_ = -1;
   std::fill(turns_.begin(), turns_.end(), 0);
   if (forces_.size() != rows_) forces_.setZero(rows_);
   StageNodes::begin(equations, q0, p0, t0, h, forces_);
+}
+
+void StageConstraints::keep_start() {
+  kept_lambda_ = lambda_;
+  kept_angles_ = angles_;
+  kept_turns_ = turns_;
+  kept_end_ = knows_end_;
+}
+
+bool StageConstraints::start_again(double ratio) {
+  if (ratio > 1.0 + kAlike) return false;
+  const int n = stages_ + 1;
+  MatX weights = MatX::Ones(n, n);  // column k: of the forces at the nodes in that at node k of this step
+  for (int k = 0; k < n; ++k)
+    for (int j = 0; j < n; ++j)
+      for (int l = 0; l < n; ++l)
+        if (l != j) weights(j, k) *= (ratio * table_->d[k] - table_->d[l]) / (table_->d[j] - table_->d[l]);
+  const Eigen::Map<const VecX> e(table_->e, n);
+  lambda_ = ratio * (kept_lambda_ * e.cwiseInverse().asDiagonal() * weights * e.asDiagonal());
+  if (slides_ > 0) {
+    const VecX start = angles_.col(0);
+    angles_ = kept_angles_ * weights;
+    angles_.col(0) = start;
+  }
+  aims_ = false;
+  if (ratio < 1.0 - kAlike) return false;
+  turns_ = kept_turns_;
+  knows_end_ = kept_end_;
+  return given_.cols() == unknowns();
 }
 
 void StageConstraints::place_nodes(Stages& stages) {
@@ -66,6 +102,7 @@ void StageConstraints::place_nodes(Stages& stages) {
     for (int i = 0; i < stages_; ++i)
       for (int d = 0; d < nv; ++d) stage_rates_(d, i) = stages.rate()[static_cast<std::size_t>(d) * S + i];
   }
+  if (aims_) aim_slips();
   add_impulses();
   double* given = stages.impulse();
   std::fill_n(given, static_cast<std::size_t>(nv) * S, 0.0);
@@ -76,6 +113,32 @@ void StageConstraints::place_nodes(Stages& stages) {
         given[static_cast<std::size_t>(d) * S + i] += (table_->share[std::min(i, stages_ - 1)][k] - 1.0) * impulse_[d];
   }
   stages.start_from(p_start_);
+}
+
+// Slips begin the iterations along the velocities of the path to which the start values lead, unless they have come to
+// rest on it or turned back.
+void StageConstraints::aim_slips() {
+  aims_ = false;
+  path_.set(q0_, h_, stage_rates_);
+  VecX v1(tree_->nv);
+  path_.velocity(1.0, v1);
+  path_.raise(v0_, v1);
+  MatX slips(2 * slides_, stages_ + 1);
+  for (int k = 0; k <= stages_; ++k) {
+    path_.velocity(table_->d[k], v_node_);
+    slips.col(k).noalias() = nodes_[k].T.transpose() * v_node_;
+  }
+  const VecX least = kAimed * slips.cwiseAbs().rowwise().maxCoeff();
+  for (int k = 1; k <= stages_; ++k) {
+    for (int j = 0; j < slides_; ++j) {
+      const auto slip = slips.col(k).segment<2>(2 * j);
+      const double c = std::cos(angles_(j, k - 1)), s = std::sin(angles_(j, k - 1));
+      const double along = c * slip[0] + s * slip[1], across = c * slip[1] - s * slip[0];
+      const bool goes_on = along > least.segment<2>(2 * j).maxCoeff();
+      angles_(j, k) = angles_(j, k - 1) + (goes_on ? std::atan2(across, along) : 0.0);
+    }
+    direct(nodes_[k], k);
+  }
 }
 
 // The velocity at the end as the stages stand, and by it the slips at the nodes inside of the step, of the path that it
@@ -317,11 +380,12 @@ void StageConstraints::add_to_residual(const Stages& stages) {
     for (int r = 0; r < rows_; ++r)
       if (r < fixed_ || !phase_->by_rate(r - fixed_)) residual_[unknown_at(k - 1, r)] += nodes_[k].phi[r];
   if (rolling_ > 0) {
-    const Eigen::Map<const MatX> v(stages.v(), S, tree_->nv);
+    const Eigen::Map<const MatX> v(stages.v(), S, tree_->nv), dv(stages.dv(), S, tree_->nv);
     for (int i = 0; i < stages_; ++i)
       for (int r = 0; r < held; ++r)
         if (phase_->by_rate(r))
-          residual_[unknown_at(i, fixed_ + r)] = h_ * v.row(i).dot(rolls_[static_cast<std::size_t>(i)].col(r));
+          residual_[unknown_at(i, fixed_ + r)] +=
+              h_ * (v.row(i) - dv.row(i)).dot(rolls_[static_cast<std::size_t>(i)].col(r));
   }
   for (int k = 1; k < stages_; ++k)
     for (int j = 0; j < slides_; ++j) {
@@ -367,6 +431,7 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
     turn(kernel, row, J);
   });
   again = again || changed_turns_ || known != knows_end_;
+  if (again) size_ = std::numeric_limits<double>::infinity();
   if (again) coupled_ = stages_ > 1 && couple(equations, stages);
   if (coupled_)
     respond(left, stages, stiff, base, base_velocities);
@@ -401,12 +466,31 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
       stages.dv()[at] = dv[row];
     }
   for (int l = 0; l < stages_; ++l) lambda_.col(l) += change_.segment(l * rows_, rows_);
-  for (int k = 1; k < stages_ && slides_ > 0; ++k) {
+  for (int k = 1; k < stages_; ++k)
     for (int j = 0; j < slides_; ++j)
       angles_(j, k) += std::clamp(change_[direction_at(k, j)], -SlipProjection::kFarTurn, SlipProjection::kFarTurn);
-    direct(nodes_[k], k);
-  }
+  accelerate(stages, du, push);
+  for (int k = 1; k < stages_ && slides_ > 0; ++k) direct(nodes_[k], k);
   add_impulses();
+}
+
+// Of stage velocities, impulses and directions together, by the corrections of the velocities.
+void StageConstraints::accelerate(Stages& stages, const VecX& du, const VecX& push) {
+  // What has not become much less is rounding, or belongs to another solution.
+  const double size = std::abs(du.dot(push)), last = std::exchange(size_, size);
+  if (std::isinf(last)) acceleration_.clear();
+  if (!(size < StageIteration::kPoor * StageIteration::kPoor * last)) return acceleration_.clear();
+  const int S = stages.padded(), nv = tree_->nv, s = stages_;
+  VecX x((nv + rows_ + slides_) * s);
+  for (int d = 0; d < nv; ++d) std::copy_n(stages.v() + static_cast<std::size_t>(d) * S, s, x.data() + d * s);
+  Eigen::Map<MatX> lambda(x.data() + nv * s, rows_, s), angles(x.data() + nv * s + rows_ * s, slides_, s);
+  lambda = lambda_.leftCols(s);
+  angles = angles_.leftCols(s);
+  acceleration_.apply(x, du, push);
+  lambda_.leftCols(s) = lambda;
+  angles_.leftCols(s) = angles;
+  for (int d = 0; d < nv; ++d)
+    for (int i = 0; i < S; ++i) stages.v()[static_cast<std::size_t>(d) * S + i] = x[d * s + std::min(i, s - 1)];
 }
 
 // The impulse at the end where contacts slide, in momentum and velocity there.

@@ -25,6 +25,7 @@
 #include <vector>
 
 #include "base/reduction.hpp"
+#include "step/anderson.hpp"
 #include "step/path.hpp"
 #include "step/raised_nodes.hpp"
 #include "step/row_system.hpp"
@@ -46,6 +47,10 @@ class StageConstraints : private StageNodes {
 
   // The step of length h from (q0, p0), which begins at t0 [s]; equations: whose node is placed where it is needed.
   void begin(StepEquations& equations, const VecCRef& q0, const VecCRef& p0, double t0, double h, const VecX& tau);
+  // Around begin(), where the step solved last began in the same state: this one, of so many times its length, starts
+  // from what it found. True where its matrix is good enough.
+  void keep_start();
+  bool start_again(double ratio);
   // Before an iteration on the stages: the nodes to which their velocities lead, and what impulses there give them.
   void place_nodes(Stages& stages);
   // After it: changes the impulses, and with them the correction dv, the velocities and the errors of the stages.
@@ -98,7 +103,9 @@ class StageConstraints : private StageNodes {
   int unknown_at(int node, int row) const { return node * rows_ + row; }
   int direction_at(int node, int slide) const { return rows_ * stages_ + (node - 1) * slides_ + slide; }
   int node_of(int unknown) const;
+  void aim_slips();
   void find_slips(StepEquations& equations, Stages& stages);
+  void accelerate(Stages& stages, const VecX& du, const VecX& push);
   bool turned(int node, int slide) const { return turns_[static_cast<std::size_t>(node * slides_ + slide)] % 2 == 1; }
   void set_charts(const Stages& stages);
   template <class Visit>
@@ -125,6 +132,12 @@ class StageConstraints : private StageNodes {
   StepPath path_;
   MatX stage_rates_;
   VecX v_node_;
+  MatX kept_lambda_, kept_angles_;
+  std::vector<int> kept_turns_;
+  bool kept_end_ = false;
+  bool aims_ = false;  // before the first iteration on a step
+  AndersonAcceleration acceleration_;
+  double size_ = 0.0;           // squared, of the last correction by the same matrix; infinity: there is none
   bool changed_turns_ = false;  // since the matrix was made
   bool knows_end_ = false;      // whether v1_ is near the velocity at the end of this step
   // Of a unit of each unknown: the momenta that the stages get, and what these change of their rates and velocities.

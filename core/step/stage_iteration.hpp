@@ -18,8 +18,9 @@ class StageIteration {
   double tol() const { return tol_; }
   void set_tol(double tol) { tol_ = tol; }
 
-  // Before the first iteration from some start values; newton: it is one with the Newton matrix.
-  void begin(bool newton);
+  // Before the first iteration from some start values; newton: it is one with the Newton matrix; factored: it is one
+  // with the matrix as it is.
+  void begin(bool newton, bool factored = false);
   bool goes_on() const { return outcome_ == Outcome::kGoesOn; }
   int flags() const;  // of the next iteration (LaneFlags)
   // After an iteration, whose numbers are in stages. constrained: of a step with constraints, whose
@@ -42,6 +43,9 @@ class StageIteration {
   bool forgets_acceleration() const { return forgets_; }
   bool accelerates() const { return accelerates_; }
 
+  // Contraction from which on a step that keeps rows makes its matrix anew.
+  static constexpr double kPoor = 0.3;
+
   // Of iterations that have ended. Where the contraction was measured, newton() is the matrix for the next step.
   bool solved() const { return outcome_ == Outcome::kConverged || outcome_ == Outcome::kRounding; }
   bool converged() const { return outcome_ == Outcome::kConverged; }
@@ -62,7 +66,7 @@ class StageIteration {
   // links and the Allegro hand, it saves iterations with 4 stages and more too, but not time (benchmarks/README.md).
   static constexpr double kSlow = 0.3;
   static constexpr int kNewtonStages = 3;
-  static constexpr double kGood = 0.1;               // contraction with which a step with constraints keeps its matrix
+  static constexpr double kFar = 1e-2;               // error from which on a first matrix is not kept, with rows
   static constexpr double kVerySlow = 0.5;           // contraction from which on acceleration pays,
   static constexpr double kAccelerationError = 0.3;  // where the error is below this
   static constexpr double kFarEnergy = 30.0;  // growth of the energy over a solve: the solution found is not the motion
@@ -74,17 +78,18 @@ class StageIteration {
   int most_;
   Outcome outcome_ = Outcome::kDiverged;
   int count_ = 0, stagnant_ = 0;  // iterations, those without progress
-  double previous_ = -1.0, theta_ = -1.0, best_ = std::numeric_limits<double>::infinity();
+  double previous_ = -1.0, before_ = -1.0, theta_ = -1.0, best_ = std::numeric_limits<double>::infinity();
   double error_ = 0.0, first_energy_ = 0.0;
   double floor_ = 0.0;  // relative error that rounding of constraints makes; 0: there are none
   bool newton_ = false, factor_ = true, accelerated_ = false;
   bool forgets_ = false, accelerates_ = false;
 };
 
-inline void StageIteration::begin(bool newton) {
+inline void StageIteration::begin(bool newton, bool factored) {
   const double tol = tol_;
   *this = StageIteration(tol, most_);
   newton_ = newton;
+  factor_ = !factored;
   outcome_ = most_ > 0 ? Outcome::kGoesOn : Outcome::kDiverged;
 }
 
@@ -96,7 +101,7 @@ inline int StageIteration::flags() const {
 inline bool StageIteration::is_converged(double error) const {
   if (error <= tol_) return true;
   // One ratio of errors may be too good by chance, and after an acceleration it tells hardly anything.
-  const double believed = std::max(theta_, accelerated_ ? 0.5 : kBestContraction);
+  const double believed = std::max(theta_, accelerated_ ? 0.5 : floor_ > 0.0 ? 0.1 : kBestContraction);
   return theta_ >= 0.0 && theta_ < 1.0 && error * believed / (1.0 - believed) <= tol_;
 }
 
@@ -111,9 +116,9 @@ inline StageIteration::Outcome StageIteration::outcome(double error, double ener
   stagnant_ = error < kProgress * best_ ? 0 : stagnant_ + 1;
   best_ = std::min(best_, error);
   // Near the solution, iterations that gain nothing any more have met rounding; further off they lead nowhere.
-  if ((stagnant_ >= 2 && error < std::max(kStagnantSoon, floor_)) ||
-      (stagnant_ >= 4 && error < kStagnantLate && !accelerated_))
+  if (stagnant_ >= 2 && error < (floor_ > 0.0 ? std::max(kStagnantLate, floor_) : kStagnantSoon))
     return Outcome::kRounding;
+  if (stagnant_ >= 4 && error < kStagnantLate && !accelerated_) return Outcome::kRounding;
   if (stagnant_ >= (accelerated_ ? 2 * kMostStagnant : kMostStagnant)) return Outcome::kDiverged;
   return count_ + 1 < most_ ? Outcome::kGoesOn : Outcome::kDiverged;
 }
@@ -126,11 +131,13 @@ inline void StageIteration::judge(double error, double energy, bool few_stages) 
   const bool slow = count_ >= 2 && theta_ > kSlow && !constrained, turn = slow && !newton_ && few_stages;
   forgets_ = factor_ && accelerated_;  // its residuals belong to another matrix
   newton_ = newton_ || turn;
-  // Where slips begin the velocities are right to many digits long before the directions of the slips are.
-  const bool poor = !(theta_ >= 0.0 && theta_ < kGood) && error > kStagnantLate;
+  // A correction of the impulses alone shows in the velocities one iteration later.
+  const bool slower = theta_ > kPoor && !(count_ >= 2 && error < kPoor * kPoor * before_);
+  const bool poor = (count_ == 0 ? error > kFar : slower) && error > kStagnantLate;
   factor_ = constrained ? poor : turn || (error > kRefactor && !accelerated_);
   accelerates_ = (slow && theta_ > kVerySlow && !turn && error < kAccelerationError) || accelerated_;
   accelerated_ = accelerated_ || accelerates_;
+  before_ = previous_;
   previous_ = error;
   ++count_;
 }

@@ -46,6 +46,7 @@ class Stages {
   // Start time of the steps that begin from now on [s], and their servo; null: none.
   void set_time(double t) { t0_ = t; }
   void set_servo(const Servo* servo);
+  double start_time() const { return t0_; }
   double time(int i) const { return t0_ + table_->c[i] * work_.h; }
   const Servo* servo() const { return servo_; }
   ForceField& field() { return field_; }
