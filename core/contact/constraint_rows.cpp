@@ -14,10 +14,13 @@ constexpr double kStill = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 
 // The rows of constraints and joint friction at q; the guards are placed there.
-void ContactStep::constraint_node(const VecCRef& q, double t, Node& node) {
+// motions: those of the time t that are known.
+void ContactStep::constraint_node(const VecCRef& q, double t, Node& node, const MotionValues& motions) {
   node.t = t;
+  node.motions = motions;
   if (bilateral_ > 0)
-    evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_), node.rate);
+    evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_), node.rate,
+                         node.motions);
   if (friction_rows_ > 0) node.W.middleCols(bilateral_, friction_rows_).setZero();
   for (int k = 0; k < friction_rows_; ++k) node.W(friction_joints_[k].dof, bilateral_ + k) = 1.0;
 }

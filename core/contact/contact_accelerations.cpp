@@ -43,11 +43,13 @@ bool ContactStep::accelerations(StepEquations& equations, const VecCRef& q, cons
   if (!acceleration_.allFinite()) return false;
   const double speed = v.cwiseAbs().maxCoeff(), delta = std::min(kLongest, kSide / (speed + kSide));
   b_.noalias() = node1_.W.transpose() * acceleration_;
+  const std::vector<Constraint>& constraints = scene_->tree.elements.constraints;
+  node1_.motions.ask(constraints, node1_.t);
   const Node kept0 = node0_, kept1 = node1_;
   for (const double side : {1.0, -1.0}) {
     integrate(scene_->tree, q, v, side * delta, q_side_);
     node0_ = kept1;
-    end_node(q_side_, kept1.t + side * delta);
+    end_node(q_side_, kept1.t + side * delta, kept1.motions.later(constraints, side * delta));
     b_.noalias() += (0.5 * side / delta) * (node1_.W.transpose() * v);
     b_.head(bilateral_) += (0.5 * side / delta) * node1_.rate;
   }

@@ -131,11 +131,11 @@ void ContactStep::start_node(const VecCRef& q0) {
   }
 }
 
-void ContactStep::end_node(const VecX& q1, double t1) {
+void ContactStep::end_node(const VecX& q1, double t1, const MotionValues& motions) {
   guards_->place(q1);
   node1_.q = q1;
   node1_.known = true;
-  constraint_node(q1, t1, node1_);
+  constraint_node(q1, t1, node1_, motions);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
     geometry_.evaluate(persistent.point, node1_.at[i]);

@@ -29,6 +29,7 @@
 #include "contact/friction_joint.hpp"
 #include "contact/persistent_geometry.hpp"
 #include "geometry/guard.hpp"
+#include "model/constraints.hpp"
 #include "model/step_costs.hpp"
 #include "step/impulse_step.hpp"
 #include "step/stepper.hpp"
@@ -185,6 +186,7 @@ class ContactStep final : public Stepper {
   struct Node {
     bool known = false;
     double t = 0;
+    MotionValues motions;
     VecX q, phi, rate;  // residuals of the constraints, and their partial derivatives d phi/dt
     std::vector<Contact> at;
     std::vector<Vec3> t1;
@@ -220,7 +222,7 @@ class ContactStep final : public Stepper {
 
  private:
   void set_rows();
-  void constraint_node(const VecCRef& q, double t, Node& node);
+  void constraint_node(const VecCRef& q, double t, Node& node, const MotionValues& motions = {});
   void set_constraint_velocities(double h);
   void start_joint_friction(const VecCRef& v);
   void classify_joint_friction(double speed);
@@ -235,7 +237,7 @@ class ContactStep final : public Stepper {
   double contact_matrix(int row, int column) const;
   void set_place(const ContactPoint& point, std::size_t i, Node& node) const;
   void start_node(const VecCRef& q0);
-  void end_node(const VecX& q1, double t1);
+  void end_node(const VecX& q1, double t1, const MotionValues& motions = {});
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
   bool turns_over() const;
   void note_contraction(double second, double first, double rounding);

@@ -168,6 +168,23 @@ void evaluate(const std::vector<Constraint>& constraints, const VecCRef& q, doub
 
 }  // namespace
 
+void MotionValues::ask(const std::vector<Constraint>& constraints, double t) {
+  of.resize(constraints.size());
+  for (std::size_t k = 0; k < of.size(); ++k) motion_of(constraints[k], t, of[k]);
+}
+
+MotionValues MotionValues::later(const std::vector<Constraint>& constraints, double dt) const {
+  MotionValues found;
+  found.of.resize(of.size());
+  for (std::size_t k = 0; k < of.size(); ++k) {
+    const auto& [x, v, a] = of[k].signal;
+    if (!of[k].known || moving_frame(constraints[k]) != nullptr) continue;
+    found.of[k].signal = {x + dt * v + 0.5 * dt * dt * a, v + dt * a, a};
+    found.of[k].known = true;
+  }
+  return found;
+}
+
 int constraint_rows(ConstraintKind kind) {
   switch (kind) {
     case ConstraintKind::kPoint:

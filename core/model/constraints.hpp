@@ -27,6 +27,10 @@ struct MotionValues {
     FrameMotion frame{};
   };
   std::vector<Value> of;  // per constraint
+  // Asks for all those of the time t that are not known.
+  void ask(const std::vector<Constraint>& constraints, double t);
+  // Those so much later [s], where the motion has an acceleration: to the second order.
+  MotionValues later(const std::vector<Constraint>& constraints, double dt) const;
   void forget() {
     for (Value& value : of) value.known = false;
   }

@@ -159,7 +159,7 @@ void fields(Archive& a, ContactOutcome& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactStep::Node& x) {
-  auto& [known, t, q, phi, rate, at, t1, side, along, W] = x;
+  auto& [known, t, motions, q, phi, rate, at, t1, side, along, W] = x;  // motions follow from t
   values(a, known, t, q, phi, rate, at, t1, side, along, W);
 }
 
