@@ -479,7 +479,7 @@ void StageConstraints::accelerate(Stages& stages, const VecX& du, const VecX& pu
   // What has not become much less is rounding, or belongs to another solution.
   const double size = std::abs(du.dot(push)), last = std::exchange(size_, size);
   if (std::isinf(last)) acceleration_.clear();
-  if (!(size < StageIteration::kPoor * StageIteration::kPoor * last)) return acceleration_.clear();
+  if (!(size < StageIteration::kProgress * StageIteration::kProgress * last)) return acceleration_.clear();
   const int S = stages.padded(), nv = tree_->nv, s = stages_;
   VecX x((nv + rows_ + slides_) * s);
   for (int d = 0; d < nv; ++d) std::copy_n(stages.v() + static_cast<std::size_t>(d) * S, s, x.data() + d * s);

@@ -43,8 +43,7 @@ class StageIteration {
   bool forgets_acceleration() const { return forgets_; }
   bool accelerates() const { return accelerates_; }
 
-  // Contraction from which on a step that keeps rows makes its matrix anew.
-  static constexpr double kPoor = 0.3;
+  static constexpr double kProgress = 0.7;  // ratio of errors that counts as progress of an iteration
 
   // Of iterations that have ended. Where the contraction was measured, newton() is the matrix for the next step.
   bool solved() const { return outcome_ == Outcome::kConverged || outcome_ == Outcome::kRounding; }
@@ -59,14 +58,15 @@ class StageIteration {
   static constexpr double kRefactor = 3e-3;  // relative error above which the factor is made again
   // Errors below which iterations without progress have met rounding: after two of them, and after four.
   static constexpr double kStagnantSoon = 2e-13, kStagnantLate = 1e-11;
-  static constexpr double kProgress = 0.7;  // ratio of errors that counts as progress of an iteration
-  static constexpr int kMostStagnant = 8;   // iterations without progress after which the start values are given up
+  static constexpr int kMostStagnant = 8;  // iterations without progress after which the start values are given up
   static constexpr double kBestContraction = 1e-2;  // no better contraction is believed
   // Contraction from which on the Newton matrix pays, and stages up to which it does: measured on chains of 10 to 100
   // links and the Allegro hand, it saves iterations with 4 stages and more too, but not time (benchmarks/README.md).
   static constexpr double kSlow = 0.3;
   static constexpr int kNewtonStages = 3;
-  static constexpr double kFar = 1e-2;               // error from which on a first matrix is not kept, with rows
+  // Of steps that keep rows: contraction from which on the matrix is made anew, unless it is new, or the error is above
+  // the other number.
+  static constexpr double kPoor = 0.3, kFar = 1e-2;
   static constexpr double kVerySlow = 0.5;           // contraction from which on acceleration pays,
   static constexpr double kAccelerationError = 0.3;  // where the error is below this
   static constexpr double kFarEnergy = 30.0;  // growth of the energy over a solve: the solution found is not the motion
@@ -133,7 +133,7 @@ inline void StageIteration::judge(double error, double energy, bool few_stages) 
   newton_ = newton_ || turn;
   // A correction of the impulses alone shows in the velocities one iteration later.
   const bool slower = theta_ > kPoor && !(count_ >= 2 && error < kPoor * kPoor * before_);
-  const bool poor = (count_ == 0 ? error > kFar : slower) && error > kStagnantLate;
+  const bool poor = (count_ == 0 || factor_ ? error > kFar : slower) && error > kStagnantLate;
   factor_ = constrained ? poor : turn || (error > kRefactor && !accelerated_);
   accelerates_ = (slow && theta_ > kVerySlow && !turn && error < kAccelerationError) || accelerated_;
   accelerated_ = accelerated_ || accelerates_;

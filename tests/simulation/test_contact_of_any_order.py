@@ -193,3 +193,40 @@ def test_auto_takes_long_steps(name):
     """In a phase without changes the steps are those of the order, and not as short as contact of order 2 asks for."""
     held = MOTIONS[name]()
     assert len(held.run_auto(1e-6).t) < 100  # a second of some 10 rad/s, half a radian a step, and companion levels
+
+
+@pytest.mark.parametrize("order", [4, 8, 16])
+def test_corners_of_a_box_come_to_rest_together(order):
+    """Four slips that share a load end at one time, in one attempt and without contact steps."""
+    held = scenes.box_slides(0.0, 0.3, 1.0, 1.0)
+    traj = held.run(5, order)
+    assert traj.stats.contact_steps == 0
+    stop = joint_friction.block_on_slope(1.0, 0.3, 0.0, mass=2.0).stop()
+    assert stop is not None
+    ends = [change.time for change in traj.contact_changes if change.time > 0.0]
+    assert len(ends) == 4
+    assert ends == pytest.approx([stop[0]] * 4, abs=1e-12)
+    assert traj.stats.stage_iterations < 60  # of seven steps, and of some parts of one
+
+
+@pytest.mark.parametrize("order", [4, 8, 16])
+def test_what_the_matrix_does_not_know_is_accelerated(order):
+    """A ball on a turntable, a radian a step: its rows turn with its spin, which the matrix leaves out."""
+    held = scenes.turntable()
+    assert held.run(20, order).stats.stage_iterations < 15 * 20
+
+
+def test_motions_are_asked_a_few_times_for_a_step():
+    """Once for each node of a step and each state at which the forces are looked at."""
+    calls = 0
+
+    class Counted(scenes.oracle.BlockOnBelt):
+        def belt(self, t: float) -> tuple[float, float, float]:
+            nonlocal calls
+            calls += 1
+            return super().belt(t)
+
+    held = scenes.block_on_belt(Counted(40.0, 0.4, 0.5), 0.0, 0.2)
+    calls = 0
+    held.run(10, 8)
+    assert calls < 12 * 10
