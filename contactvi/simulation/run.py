@@ -342,7 +342,7 @@ class Run:
 
 
 def name_unreachable(record: Record, q: Array) -> ConstraintError | None:
-    """Return the error of constraints that cannot be met where a run ended, at q (nq,), and name them in its status.
+    """Return the error of constraints that cannot be met where a run ended, at q (nq,). Its status becomes CONSTRAINT.
 
     None where they can be met, where there are none, and where the run ended for another reason.
     """
@@ -353,5 +353,5 @@ def name_unreachable(record: Record, q: Array) -> ConstraintError | None:
     if found is not None:
         names = ", ".join(repr(name) for name in found.constraints)
         text = f"{status.message}: there is no way on for the constraints {names}"
-        record.status = Status(status.code, text, status.time)
+        record.status = Status(StatusCode.CONSTRAINT, text, status.time)
     return found
