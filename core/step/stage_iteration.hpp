@@ -72,6 +72,7 @@ class StageIteration {
   static constexpr double kFarEnergy = 30.0;  // growth of the energy over a solve: the solution found is not the motion
   void judge(double error, double energy, bool few_stages);
   Outcome outcome(double error, double energy);
+  bool needs_matrix(double error);
   bool is_converged(double error) const;
 
   double tol_;
@@ -100,9 +101,10 @@ inline int StageIteration::flags() const {
 // Whether the iteration that left this error, theta times the one before, was the last that the step needs.
 inline bool StageIteration::is_converged(double error) const {
   if (error <= tol_) return true;
+  if (!(theta_ >= 0.0 && theta_ < 1.0)) return false;
   // One ratio of errors may be too good by chance, and after an acceleration it tells hardly anything.
   const double believed = std::max(theta_, accelerated_ ? 0.5 : floor_ > 0.0 ? 0.1 : kBestContraction);
-  return theta_ >= 0.0 && theta_ < 1.0 && error * believed / (1.0 - believed) <= tol_;
+  return error * believed <= tol_ * (1.0 - believed);
 }
 
 inline StageIteration::Outcome StageIteration::outcome(double error, double energy) {
@@ -123,6 +125,14 @@ inline StageIteration::Outcome StageIteration::outcome(double error, double ener
   return count_ + 1 < most_ ? Outcome::kGoesOn : Outcome::kDiverged;
 }
 
+// Of a step that keeps rows, before the error before it is replaced by it. A correction of the impulses alone shows in the
+// velocities one iteration later.
+inline bool StageIteration::needs_matrix(double error) {
+  const bool slower = theta_ > kPoor && !(count_ >= 2 && error < kPoor * kPoor * before_);
+  before_ = previous_;
+  return error > kStagnantLate && (count_ == 0 || factor_ ? error > kFar : slower);
+}
+
 inline void StageIteration::judge(double error, double energy, bool few_stages) {
   outcome_ = outcome(error, energy);
   forgets_ = accelerates_ = false;
@@ -131,13 +141,9 @@ inline void StageIteration::judge(double error, double energy, bool few_stages) 
   const bool slow = count_ >= 2 && theta_ > kSlow && !constrained, turn = slow && !newton_ && few_stages;
   forgets_ = factor_ && accelerated_;  // its residuals belong to another matrix
   newton_ = newton_ || turn;
-  // A correction of the impulses alone shows in the velocities one iteration later.
-  const bool slower = theta_ > kPoor && !(count_ >= 2 && error < kPoor * kPoor * before_);
-  const bool poor = (count_ == 0 || factor_ ? error > kFar : slower) && error > kStagnantLate;
-  factor_ = constrained ? poor : turn || (error > kRefactor && !accelerated_);
+  factor_ = constrained ? needs_matrix(error) : turn || (error > kRefactor && !accelerated_);
   accelerates_ = (slow && theta_ > kVerySlow && !turn && error < kAccelerationError) || accelerated_;
   accelerated_ = accelerated_ || accelerates_;
-  before_ = previous_;
   previous_ = error;
   ++count_;
 }
