@@ -125,8 +125,8 @@ inline StageIteration::Outcome StageIteration::outcome(double error, double ener
   return count_ + 1 < most_ ? Outcome::kGoesOn : Outcome::kDiverged;
 }
 
-// Of a step that keeps rows, before the error before it is replaced by it. A correction of the impulses alone shows in the
-// velocities one iteration later.
+// Of a step that keeps rows, before its last error is replaced by this one. A correction of the impulses alone shows in
+// the velocities one iteration later.
 inline bool StageIteration::needs_matrix(double error) {
   const bool slower = theta_ > kPoor && !(count_ >= 2 && error < kPoor * kPoor * before_);
   before_ = previous_;
