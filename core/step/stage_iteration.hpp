@@ -24,7 +24,7 @@ class StageIteration {
   bool goes_on() const { return outcome_ == Outcome::kGoesOn; }
   int flags() const;  // of the next iteration (LaneFlags)
   // After an iteration, whose numbers are in stages. constrained: of a step with constraints, whose
-  // residuals have rounding of this energy [J]; neither the Newton matrix nor acceleration is tried then.
+  // residuals have rounding of this energy [J]; its matrix and its acceleration are its own then.
   void judge(const Stages& stages);
   void judge(const Stages& stages, double rounding);
   // As this, where there is one stage: its relative error, and its energy.
