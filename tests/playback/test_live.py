@@ -569,6 +569,7 @@ def test_run_live_ends_when_the_page_is_closed(command, tmp_path, monkeypatch):
 def test_ctrl_c_ends_a_live_run_with_its_files(tmp_path):
     """The real program and the real signal."""
     environment = {**os.environ, "PYTHONPATH": str(Path(cvi.__file__).parents[1])}
+    environment.pop("PYTHONUNBUFFERED", None)  # the address is printed at once as it is
     arguments = [
         "run",
         ball_file(tmp_path, duration=1e4),
@@ -585,11 +586,14 @@ def test_ctrl_c_ends_a_live_run_with_its_files(tmp_path):
         # Children of a shell's background job inherit an ignored SIGINT.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
+    too_long = threading.Timer(60.0, run.kill)
+    too_long.start()
     while "Live view at" not in run.stdout.readline():
         assert run.poll() is None
     time.sleep(0.5)
     run.send_signal(signal.SIGINT)
     _, errors = run.communicate(timeout=30)
+    too_long.cancel()
     assert run.returncode == 3, errors
     traj = cvi.Trajectory.load(tmp_path / "out" / "trajectory.npz")
     assert traj.status.code == cvi.StatusCode.INTERRUPTED
