@@ -697,9 +697,9 @@ class Snapshot:
 class Simulator:
     def __init__(self, scene: Scene, options: SimulatorOptions) -> None: ...
 
-    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None, part: float = 1.0, sample: float = 0.0, after_impact: int = 1, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')] | None = None) -> tuple[KeptRun, object]:
+    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None, part: float = 1.0, sample: float = 0.0, after_impact: int = 1, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')] | Callable[[float], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]] | None = None) -> tuple[KeptRun, object]:
         """
-        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end of its step. target: references of servos, (1, 2 nv). Return (KeptRun, error of a callback or None).
+        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). Return (KeptRun, error of a callback or None).
         """
 
     def keep_problems(self) -> None:

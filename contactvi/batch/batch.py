@@ -23,7 +23,9 @@ from contactvi.errors import DenseStepWarning, InputError
 from contactvi.inputs import callback, check_choice
 from contactvi.options import Dt, FurtherOptions, ImpactMap
 from contactvi.simulation.settings import settings_of
+from contactvi.simulation.simulation import check_no_steps
 from contactvi.simulation.simulator import Simulator
+from contactvi.simulation.targets import by_steps
 from contactvi.threads import Workers, cores
 
 if TYPE_CHECKING:
@@ -142,8 +144,10 @@ def simulate_batch(
         plan = plan_from(scene, dict(options), kept, inputs, starts)
         settings = plan.options
     else:
-        settings = settings_of(scene, dict(options), forced=control is not None or target is not None)
+        settings = settings_of(scene, dict(options), forced=control is not None or by_steps(target))
         _ = settings.span
+        if settings.auto:
+            check_no_steps(control, target)
         plan = plan_of(scene, settings, kept, inputs, parameters)
     if keep is None and plan.nodes is not None:
         full = replace(plan, keep="nodes")

@@ -92,17 +92,6 @@ class Built:
         return bool(self.elements.equations) or bool(np.any(self.arrays.joint_friction))
 
     @cached_property
-    def needs_fixed_step(self) -> str | None:
-        """What of the scene needs steps of one length, in words; None where nothing does."""
-        found, arrays = self.elements, self.arrays
-        moving = any(goal.constant is None for goal in arrays.targets.values())
-        reasons = {
-            "servos whose targets move": moving and bool(np.any(arrays.servo[:2])),
-            "forces given in Python": bool(found.forces),
-        }
-        return next((what for what, is_there in reasons.items() if is_there), None)
-
-    @cached_property
     def limits(self) -> LimitGaps:
         """The joint limits in the engine's order."""
         model, found = self.model, []

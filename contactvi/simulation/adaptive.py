@@ -27,7 +27,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,6 +70,7 @@ def run(
     options: Options,
     q0: ArrayLike | None,
     v0: ArrayLike | None,
+    target: Any,
     progress: Callable[[float, int], object] | None,
     throw: bool,
     ctrl_c: CtrlC,
@@ -82,7 +83,7 @@ def run(
     check_map(compiled, options)
     check_elements(compiled, options)
     kept = options if options.dense else replace(options, dense=True)
-    search = _Search(compiled, kept, q0, v0, ctrl_c.watch(progress))
+    search = _Search(compiled, kept, q0, v0, target, ctrl_c.watch(progress))
     try:
         found, estimate = search.search()
     except KeyboardInterrupt:
@@ -122,10 +123,12 @@ class _Search:
         options: Options,
         q0: ArrayLike | None,
         v0: ArrayLike | None,
+        target: Any,
         progress: Callable[[float, int], object] | None,
     ) -> None:
         self._compiled, self._options, self._progress = compiled, options, progress
         self._given = q0, v0
+        self._target = target
         self._start: tuple[Array, Array, float] | None = None  # looked at by the first engine
         self.separation: Separation | None = None  # what was moved for it
         self._stages = options.order // 2
@@ -199,13 +202,13 @@ class _Search:
         slack = max(slack, STAGE_TOLS[0] / self._options.stage_tol)
         simulator = self._started(engine.reuse(self._compiled, self._options, slack, dt_contact), self._options)
         if coarser is None:
-            found = engine.run_auto(simulator, self._options.span, level, self._progress, target=self._target())
+            found = engine.run_auto(simulator, self._options.span, level, self._progress, target=self._references())
         else:
             part = (level / coarser.level) ** (1.0 / self._stages)
             sample = (self._options.sample_dt or 0.0) if sample is None else sample
             found = engine.run_auto(
                 simulator, self._options.span, coarser.level, self._progress, coarser.run, part, sample, self._runs,
-                self._target(),
+                self._references(),
             )  # fmt: skip
         run = self._took(AutoRun(level, dt_contact, slack * self._options.stage_tol, *found, simulator))
         if len(self._engines) < _SAME and run.ok:
@@ -223,10 +226,12 @@ class _Search:
             raise error
         return simulator
 
-    def _target(self) -> Array | None:
-        """Return the references of the servos, which are constant; None without servos."""
+    def _references(self) -> Array | Callable[[float], Array] | None:
+        """Return the references of the servos, a function of time where they move; None without servos."""
         assert self._start is not None
-        return Targets(self._compiled, self._start[0]).rows(None, np.zeros(1))
+        targets = Targets(self._compiled, self._start[0])
+        moving = targets.moving(self._target)
+        return targets.rows(self._target, np.zeros(1)) if moving is None else moving
 
     def _took(self, run: AutoRun) -> AutoRun:
         """Count what a run took."""

@@ -221,7 +221,7 @@ def take(engine: _core.Simulator, record: Record) -> Status | None:
 def run_auto(
     engine: _core.Simulator, duration: float, level: float, progress: Progress | None,
     coarser: _core.KeptRun | None = None, part: float = 1.0, sample: float = 0.0,
-    after_impact: int = 1, target: Array | None = None,
+    after_impact: int = 1, target: Array | Callable[[float], Array] | None = None,
 ) -> tuple[_core.KeptRun, bool]:  # fmt: skip
     """Run for a duration [s] with steps chosen for a level [m, rad]; errors as those of `advance`.
 
@@ -231,7 +231,7 @@ def run_auto(
         coarser: another run of the same motion, of whose steps those of this run are this part.
         sample: smooth steps that are not much longer end at its multiples [s]; 0: at no such times.
         after_impact: steps, at least, from an impact to the end of the step that it is in.
-        target: constant references of the servos (1, 2 nv); None without servos.
+        target: references of the servos, (1, 2 nv) or a function t -> (2 nv,); None without servos.
     """
     return _kept(*engine.run_auto(duration, level, progress, coarser, part, sample, after_impact, target))
 

@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from contactvi.options import Options, merged
-from contactvi.trajectory.compiled import checked_scene
 
 if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
@@ -17,14 +16,13 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
     """Return the options of a run: those chosen (not None), else those of the scene's file, else the defaults.
 
     Args:
-        forced: whether it has inputs. These decide about a dt that is given nowhere (options.merged), and so do some
-            elements of scenes.
+        forced: whether it has inputs that are given by steps. These decide about a dt that is given nowhere
+            (options.merged).
     """
-    fixed = forced or checked_scene(scene).built().needs_fixed_step is not None
     file, here = _plain(scene.settings), _plain(chosen)
     if file is None or here is None:
-        return Options.from_dict(merged(scene.settings, chosen, fixed))
-    return _checked(file, here, fixed)
+        return Options.from_dict(merged(scene.settings, chosen, forced))
+    return _checked(file, here, forced)
 
 
 _PLAIN = {str, int, float, bool, type(None)}

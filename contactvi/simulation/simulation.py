@@ -28,6 +28,7 @@ from contactvi.simulation.messages import remedy
 from contactvi.simulation.run import PROGRESS_PERIOD, Run
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.simulator import Simulator
+from contactvi.simulation.targets import by_steps
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
@@ -72,9 +73,9 @@ def simulate(
         v0: initial velocity, shape (nv,).
         duration: simulated time [s]; a whole number of steps where dt is a number.
         dt: time step [s]; or "auto": the run finds the steps with which q is accurate to `tol`, and measures it
-            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, servos whose
-            targets move, forces given in Python, "dtec", order 2, record_every, or tolerances on the discrete energy
-            or on jumps of the modified one.
+            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, a target given
+            by steps, "dtec", order 2, record_every, or tolerances on the discrete energy or on jumps of the modified
+            one.
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
         tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
         sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.
@@ -82,9 +83,9 @@ def simulate(
         **options: mhc_reference, record_every, dense, ...: see `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
             nv), one of shape (nv,) for all steps, or a function (t, q, v) -> (nv,) called at the start of each step.
-        target: reference of the servos (Scene.set_servo), constant over a step: an array or a function of t, one number
-            per servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
-            set_servo.
+        target: reference of the servos (Scene.set_servo): an array or a function of t, one number per servo joint, or
+            a mapping joint -> motion (contactvi.simulation.targets); by default as given to set_servo. Constant over a
+            step of a given length, while steps of "auto" follow it at their stages.
         throw: raise SimulationError (with .status and .trajectory) when the run ends before its time, and
             PenetrationError when it starts in penetration; False returns what was computed, with its status.
         ledger: tolerances on what should be conserved, name -> bound, for example {"own_jump": 1e-10}; where one is
@@ -111,7 +112,7 @@ def simulate(
         "sample_dt": sample_dt, "ledger": ledger,
     }  # fmt: skip
     throw = flag("throw", throw)
-    settings = settings_of(scene, chosen, forced=control is not None or target is not None)
+    settings = settings_of(scene, chosen, forced=control is not None or by_steps(target))
     if settings.last_steps is not None:
         raise InputError(
             "A run that returns its trajectory records it", name="record", expected="'states' or 'gradient'",
@@ -120,7 +121,7 @@ def simulate(
     span = settings.span
     compiled = compile_scene(scene)
     if settings.auto:
-        _check_auto(compiled, "control" if control is not None else "target" if target is not None else None)
+        check_no_steps(control, target)
     steps = 0 if settings.auto else settings.steps
     if callable(control):
         check_signature("control", control, ("t", "q", "v"))
@@ -207,19 +208,13 @@ def broken_promises(traj: Trajectory) -> list[str]:
     return told
 
 
-def _check_auto(compiled: CompiledScene, inputs: str | None) -> None:
-    """Raise InputError where the scene or its inputs need steps of one length."""
-    remedy = "Give dt=..., for example dt=1e-3"
+def check_no_steps(control: Any, target: Any) -> None:
+    """Raise InputError where inputs of a run that chooses its steps are given by steps."""
+    inputs = "control" if control is not None else "a target for each step" if by_steps(target) else None
     if inputs is not None:
         raise InputError(
             "Inputs are constant over a step, so the run cannot choose it", name="dt",
-            expected=f"a time in seconds with {inputs}", got="'auto'", remedy=remedy,
-        )  # fmt: skip
-    reason = compiled.built.needs_fixed_step
-    if reason is not None:
-        raise InputError(
-            "The step cannot be chosen by the run", name="dt",
-            expected=f"a time in seconds for a scene with {reason}", got="'auto'", remedy=remedy,
+            expected=f"a time in seconds with {inputs}", got="'auto'", remedy="Give dt=..., for example dt=1e-3",
         )  # fmt: skip
 
 
@@ -240,7 +235,7 @@ def run_compiled(
     """
     compiled = compiled.at_start(q0)
     if options.auto:
-        return adaptive.run(compiled, options, q0, v0, progress, throw, ctrl_c)
+        return adaptive.run(compiled, options, q0, v0, target, progress, throw, ctrl_c)
     check_map(compiled, options)
     check_elements(compiled, options)
     run = Run(compiled, options, q0, v0)

@@ -1,19 +1,21 @@
-"""Targets of servos: references of position and velocity for every step of a run, from what the user gives.
+"""Targets of servos: references of position and velocity for a run, from what the user gives.
 
 n servo joints in the order of v (Scene.servo_joints). A target is one of
 
 - an array (n,) of positions [rad or m], or (2 n,) of positions and then velocities [rad/s or m/s]: constant;
-- an array (steps, n) or (steps, 2 n): one row per step;
-- a function t -> (n,) or (2 n,), called at the start of each step;
+- an array (steps, n) or (steps, 2 n): one row per step, not with dt="auto";
+- a function t -> (n,) or (2 n,);
 - a mapping joint -> motion as in `Scene.prescribe`, whose rate is the reference of the velocity; other joints keep
   their default.
 
-By default the target is that of `set_servo(target=)`, else the position at the start of the run.
+By default the target is that of `set_servo(target=)`, else the position at the start of the run. Steps of one length
+take what a function or a motion gives at the start of each step, and steps of dt="auto" what it gives at their stages:
+smooth functions then keep the order of the method.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,11 @@ Array = NDArray[np.float64]
 
 
 MOST_TARGETS = 10**8  # positions of a run: they are made before it, with their rates in 1.6 GB
+
+
+def by_steps(target: Any) -> bool:
+    """Return whether a target gives references for each step, and is no function of time."""
+    return target is not None and not isinstance(target, Mapping) and not callable(target) and np.ndim(target) > 1
 
 
 class Targets:
@@ -82,6 +89,24 @@ class Targets:
         if callable(target):
             return self._full(np.array([self._asked(target, float(t)) for t in times]).reshape(steps, 2 * count))
         return self._full(self._array(target, steps))
+
+    def moving(self, target: Any) -> Callable[[float], Array] | None:
+        """Return the references as a function t -> (2 nv,), for a target that changes in time; else None.
+
+        Raises:
+            InputError: for a target of the wrong kind. The function raises UserFunctionError.
+        """
+        if not self.joints:
+            return None
+        if target is None or isinstance(target, Mapping):
+            motions = self._chosen(target or {})
+            if all(motion.constant is not None for motion in motions.values()):
+                return None
+            return lambda t: self._full(self._followed(motions, np.array([t])))[0]
+        if not callable(target):
+            return None
+        width = 2 * len(self.joints)
+        return lambda t: self._full(self._asked(target, t).reshape(1, width))[0]
 
     def _chosen(self, target: Mapping[Any, Any]) -> dict[str, Signal]:
         motions = dict(self._motions)

@@ -1,11 +1,14 @@
 // Runs that are kept in the engine, to be compared and, one of them, handed over.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/variant.h>
 
 #include <chrono>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <utility>
+#include <variant>
 
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
@@ -34,9 +37,13 @@ struct Own {
 // The run, and the error of a callback or a function of the user that ended it.
 using Outcome = nb::typed<nb::tuple, Own, nb::object>;
 
+// References of servos, (2 nv,) at a time [s]; one row of them, where they are constant; or none.
+using ReferencesOfTime = nb::typed<nb::callable, VecX(double)>;
+using Target = std::variant<std::monostate, MatX, ReferencesOfTime>;
+
 template <class Run>
 Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, const Own* guide, bool planned,
-             Run call) {
+             Run call, const MovingReferences& references = {}) {
   auto own = std::make_unique<Own>(Own{KeptRun(), &sim.scene(), sim.options(), nb::find(sim.scene()), planned});
   KeptRun& run = own->run;
   const Progress callback = wrapped(progress);
@@ -54,25 +61,54 @@ Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress,
   run.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   run.state = sim.state();
   run.counters = sim.counters();
+  run.references = references;
   nb::object error = nb::none();
   if (UserErrors::any()) error = UserErrors::take();
   return Outcome(nb::make_tuple(nb::cast(own.release(), nb::rv_policy::take_ownership), error));
 }
 
+// Not a number from the first call on that fails, which ends the run.
+MovingReferences references_of(const ReferencesOfTime& function, Eigen::Index numbers) {
+  return [call = std::make_shared<nb::object>(function), numbers](double t) {
+    nb::gil_scoped_acquire gil;
+    const VecX none = VecX::Constant(numbers, std::numeric_limits<double>::quiet_NaN());
+    if (UserErrors::any()) return none;
+    try {
+      const VecX found = nb::cast<VecX>((*call)(t));
+      if (found.size() == numbers) return found;
+    } catch (nb::python_error& error) {
+      UserErrors::keep(error);
+    } catch (const std::exception&) {  // something of a wrong type
+    }
+    return none;
+  };
+}
+
 Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
-                 const Own* coarser, double part, double sample, int after_impact, const std::optional<MatX>& target) {
+                 const Own* coarser, double part, double sample, int after_impact, const Target& target) {
   if (!(duration > 0.0) || !(level > 0.0) || !(part > 0.0)) throw Error("duration, level and part must be > 0");
   if (!(sample >= 0.0) || after_impact < 1) throw Error("sample must be >= 0, after_impact >= 1");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
   const Eigen::Index numbers = 2 * sim.scene().tree.nv;
-  if (target && (target->rows() != 1 || target->cols() != numbers)) throw Error("target has the wrong shape");
+  MatX constant;
+  MovingReferences moving;
+  if (const auto* row = std::get_if<MatX>(&target)) {
+    if (row->rows() != 1 || row->cols() != numbers) throw Error("target has the wrong shape");
+    constant = *row;
+  } else if (const auto* function = std::get_if<ReferencesOfTime>(&target)) {
+    moving = references_of(*function, numbers);
+  }
   std::optional<StepPlan> plan;
   if (coarser != nullptr && !coarser->run.recording.adaptive_t.empty())
     plan.emplace(StepPlan{coarser->run.recording, part, coarser->planned});
-  return keep(sim, progress, coarser, plan.has_value(), [&](const Progress& callback, Recording& recording) {
-    return sim.run_auto(duration, {level, plan ? &*plan : nullptr, sample, after_impact, target.value_or(MatX())},
-                        callback, recording);
-  });
+  return keep(
+      sim, progress, coarser, plan.has_value(),
+      [&](const Progress& callback, Recording& recording) {
+        return sim.run_auto(
+            duration, {level, plan ? &*plan : nullptr, sample, after_impact, constant, moving ? &moving : nullptr},
+            callback, recording);
+      },
+      moving);
 }
 
 // The run of one that can be compared.
@@ -139,7 +175,8 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
       " coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are"
       " nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end"
-      " of its step. target: references of servos, (1, 2 nv). Return (KeptRun, error of a callback or None).");
+      " of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). Return (KeptRun, error of a "
+      "callback or None).");
 }
 
 }  // namespace contactvi

@@ -16,12 +16,12 @@ enum class HeldStepEnd { kGiven, kRest, kRelease, kSlip };
 struct HeldStepRecord {
   double t, h;  // start and length [s]
   VecX q0, p0, v1;
-  MatX rates;   // of the charts at its stages, (nv, s)
-  MatX lambda;  // impulses of its rows at its nodes, (rows, s + 1)
-  MatX angles;  // directions of the slips there, from the first tangents, (sliding contacts, s + 1)
+  MatX rates;        // of the charts at its stages, (nv, s)
+  MatX lambda = {};  // impulses of its rows at its nodes, (rows, s + 1)
+  MatX angles = {};  // directions of the slips there, from the first tangents, (sliding contacts, s + 1)
   // As they are before the step, which are those of the rows after the constraints'.
-  std::vector<PersistentContact> contacts;
-  std::vector<FrictionJoint> joints;
+  std::vector<PersistentContact> contacts = {};
+  std::vector<FrictionJoint> joints = {};
   HeldStepEnd ending = HeldStepEnd::kGiven;
   int ended = -1;  // whose slip or contact: contacts, then joints; else -1
 };

@@ -58,7 +58,7 @@ void Actuation::start() {
   dense_->set_servo(&state_->servo);
 }
 
-void Actuation::set(const VecX& tau, const MatX& target, long k, const VecX& q, const VecX& p) {
+void Actuation::set(double t, const VecX& tau, const MatX& target, long k, const VecX& q, const VecX& p) {
   const Tree& tree = *tree_;
   Servo& servo = state_->servo;
   if (tau.size() > 0 || state_->given.size() > 0) state_->given = tau;
@@ -72,10 +72,10 @@ void Actuation::set(const VecX& tau, const MatX& target, long k, const VecX& q, 
       servo.v_ref = target.row(k).tail(tree.nv).transpose();
     }
   }
-  limit(q, p);
+  limit(t, q, p);
 }
 
-void Actuation::limit(const VecX& q, const VecX& p) {
+void Actuation::limit(double t, const VecX& q, const VecX& p) {
   const Tree& tree = *tree_;
   VecX& limited = state_->limited;
   Servo& servo = state_->servo;
@@ -89,10 +89,11 @@ void Actuation::limit(const VecX& q, const VecX& p) {
     servo.kp = e.servo_kp;
     servo.kd = e.servo_kd;
     servo.feed.setZero(tree.nv);
+    if (servo.moving != nullptr) servo.refer(t);
   }
   find_velocity(q, p);
   for (const int d : limited_dofs_) {
-    const double wanted = asked(d, q, q, v_).effort, most = effort_limit(d);
+    const double wanted = asked(d, q, t, q, v_).effort, most = effort_limit(d);
     const double given = std::clamp(wanted, -most, most);
     Drive drive = given == wanted ? Drive::kAsked : given > 0.0 ? Drive::kHigh : Drive::kLow;
     if (std::abs(v_[d]) >= speed_limit(d) && given * v_[d] > 0.0) drive = Drive::kCut;
@@ -141,19 +142,26 @@ double Actuation::own(int d) const { return state_->given.size() > 0 ? state_->g
 
 // Of a continuous joint the error is the one at the start of the part and the turn since then, also beyond half a
 // revolution.
-Actuation::Asked Actuation::asked(int d, const VecX& q0, const VecX& q, const VecX& v) const {
+Actuation::Asked Actuation::asked(int d, const VecX& q0, double t, const VecX& q, const VecX& v) {
   const double own = this->own(d);
   Asked found{own, std::abs(own)};
   if (!is_driven(d)) return found;
   const Elements& e = tree_->elements;
   const Servo& servo = state_->servo;
-  double damper = e.servo_kd[d] * (servo.v_ref[d] - v[d]);
+  double q_ref = servo.q_ref[d], v_ref = servo.v_ref[d];
+  if (servo.moving != nullptr) {
+    if (t != references_time_ || references_.size() == 0) references_ = (*servo.moving)(t);
+    references_time_ = t;
+    q_ref = references_[d];
+    v_ref = references_[tree_->nv + d];
+  }
+  double damper = e.servo_kd[d] * (v_ref - v[d]);
   found.size += std::abs(damper);
   if (e.servo_kp[d] != 0.0) {
     const Joint& joint = tree_->joints[static_cast<std::size_t>(tree_->dof_joint[d])];
-    double error = joint_error(joint, q, servo.q_ref[d]);
+    double error = joint_error(joint, q, q_ref);
     if (joint.type == JointType::kContinuous) {
-      const double start = joint_error(joint, q0, servo.q_ref[d]);
+      const double start = joint_error(joint, q0, servo.q_ref[d]) + (q_ref - servo.q_ref[d]);
       error = start + std::remainder(error - start, kTwoPi);
     }
     const double spring = e.servo_kp[d] * error;

@@ -31,10 +31,15 @@ class Actuation {
   void start();
   // Sets the input and, if target has rows, the references of the servos (its row k) for the next control step that
   // starts at (q, p).
-  void set(const VecX& tau, const MatX& target, long k, const VecX& q, const VecX& p);
+  void set(double t, const VecX& tau, const MatX& target, long k, const VecX& q, const VecX& p);
+  // The references of the servos move by these from the next set() on; null: they are those that set() is given.
+  void follow(const MovingReferences* references) {
+    state_->servo.moving = references;
+    references_.resize(0);
+  }
   // Applies the limits of the actuators at a state. Where an actuator is at its limit, its torque is constant until the
   // next part of the step.
-  void limit(const VecX& q, const VecX& p);
+  void limit(double t, const VecX& q, const VecX& p);
   // Sets servos that were beyond their effort limit in the step just solved to that limit. True if there were any: the
   // step is to be solved again.
   bool saturate_servos(const StepEquations& step);
@@ -52,7 +57,7 @@ class Actuation {
   struct Asked {
     double effort, size;
   };
-  Asked asked(int dof, const VecX& q0, const VecX& q, const VecX& v) const;
+  Asked asked(int dof, const VecX& q0, double t, const VecX& q, const VecX& v);
   // Whether that changes in a step: there is a servo.
   bool is_driven(int dof) const;
   // Bounds of a joint's actuator; infinite: none.
@@ -84,6 +89,8 @@ class Actuation {
   VecX v_;
   std::vector<int> limited_dofs_;
   std::vector<Drive> drive_;  // per dof
+  VecX references_;           // of servos that follow moving ones, when asked last, and the time of that [s]
+  double references_time_ = 0.0;
   std::unique_ptr<Shared> shared_;
 };
 

@@ -139,7 +139,7 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
     truncation_.too_long = false;
     const DensePhase dense = state_.dense;
     const double step_start = section.begin + in_section * h;
-    if (has_servos) actuation_.set(no_force, steps.target, 0, state_.q, state_.p);
+    if (has_servos) actuation_.set(step_start, no_force, steps.target, 0, state_.q, state_.p);
     const bool made = advance_interval(step_start, h, has_servos ? actuation_.force() : no_force, recording),
                solved = made || truncation_.too_long;
     truncation_.limited = false;
@@ -266,8 +266,10 @@ Status Simulator::run_auto(double duration, const AutoSteps& steps, const Progre
   truncation_.bound = steps.level;
   truncation_.after_impact = steps.after_impact;
   truncation_.longest_dt = truncation_.longest_contact = std::numeric_limits<double>::infinity();
+  actuation_.follow(steps.references);
   bool ok = true;
   while (ok && state_.time < end) ok = run_adaptive_steps(end, origin, steps, recording);
+  actuation_.follow(nullptr);
   truncation_.bound = 0.0;
   truncation_.too_long = false;
   truncation_.after_impact = 1;

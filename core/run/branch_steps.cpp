@@ -34,7 +34,7 @@ bool Simulator::enter_branch(Interval& interval, const VecX& q, const VecX& v, b
       return leave_to_contact_steps(interval.start + interval.done);
     return true;
   }
-  if (!branches_.change(switches_.which(), q, v, moved)) ++state_.switches.held;
+  if (!branches_.change(switches_.which(), interval.start + interval.done, q, v, moved)) ++state_.switches.held;
   state_.switches.located += branches_.switched() ? 1 : 0;
   state_.switches.jumps += branches_.jumped() ? 1 : 0;
   interval.keeps_branches = true;

@@ -62,7 +62,7 @@ void Branches::begin_step(const VecX& q0, const VecX& v0, bool keep) {
   }
 }
 
-void Branches::evaluate(double, const VecX& q, const VecX& v, VecRef values) {
+void Branches::evaluate(double at, const VecX& q, const VecX& v, VecRef values) {
   if (!ropes_.empty()) integrator_->field().slackness(ropes_, q, v, slackness_);
   std::size_t rope = 0;
   for (std::size_t i = 0; i < active_.size(); ++i) {
@@ -70,7 +70,7 @@ void Branches::evaluate(double, const VecX& q, const VecX& v, VecRef values) {
     double& value = values[static_cast<Eigen::Index>(i)];
     if (law.rope < 0) {
       Drive next;
-      value = drive_value(law.dof, q, v, next);
+      value = drive_value(law.dof, t0_ + at * h_, q, v, next);
       continue;
     }
     while (ropes_[rope] != law.rope) ++rope;
@@ -80,9 +80,9 @@ void Branches::evaluate(double, const VecX& q, const VecX& v, VecRef values) {
 }
 
 // The least of the distances from where the actuator's branch ends, relative to their terms, and the branch beyond.
-double Branches::drive_value(int d, const VecX& q, const VecX& v, Drive& next) const {
+double Branches::drive_value(int d, double t, const VecX& q, const VecX& v, Drive& next) const {
   const Drive now = actuation_->drive(d);
-  const Actuation::Asked asked = actuation_->asked(d, q0_, q, v);
+  const Actuation::Asked asked = actuation_->asked(d, q0_, t, q, v);
   const double most = actuation_->effort_limit(d), fastest = actuation_->speed_limit(d), speed = std::abs(v[d]);
   const bool limited = std::isfinite(most);
   const double size = asked.size + (limited ? most : 0.0), unit = size > 0.0 ? size : 1.0;
@@ -115,7 +115,7 @@ double Branches::drive_value(int d, const VecX& q, const VecX& v, Drive& next) c
   return least;
 }
 
-bool Branches::change(int function, const VecX& q, const VecX& v, bool moved) {
+bool Branches::change(int function, double t, const VecX& q, const VecX& v, bool moved) {
   Law& law = laws_[static_cast<std::size_t>(active_[static_cast<std::size_t>(function)])];
   if (moved)
     for (Law& other : laws_) other.without_motion = 0;
@@ -129,7 +129,7 @@ bool Branches::change(int function, const VecX& q, const VecX& v, bool moved) {
     jumped_ = tree_->elements.path_springs[static_cast<std::size_t>(law.rope)].damping > 0.0 && pulls != 0;
   } else {
     Drive next;
-    drive_value(law.dof, q, v, next);
+    drive_value(law.dof, t, q, v, next);
     jumped_ = next == Drive::kCut || actuation_->drive(law.dof) == Drive::kCut;
     actuation_->enter(law.dof, next);
   }

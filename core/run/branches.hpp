@@ -29,14 +29,19 @@ class Branches final : public SwitchFunctions {
   // The next smooth step starts there. keep: with the branches of the one before, which has ended where one of them
   // did; else ropes take those of the state, as the actuators have (Actuation::limit).
   void begin_step(const VecX& q0, const VecX& v0, bool keep);
+  // It begins at a time and has this length [s].
+  void take_step(double t, double h) {
+    t0_ = t;
+    h_ = h;
+  }
   // From now on forces are those of the state.
   void end_step() { integrator_->field().hold_branches(nullptr); }
 
   int count() const override { return static_cast<int>(active_.size()); }
   void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;
-  // Goes to the branch beyond the root of a function at this state, with or without a motion since the last change.
+  // Goes to the branch beyond the root of a function at this time and state, with or without a motion since the last change.
   // False: it is held, for there have been too many changes.
-  bool change(int function, const VecX& q, const VecX& v, bool moved);
+  bool change(int function, double t, const VecX& q, const VecX& v, bool moved);
   // Of the last change: whether it is a switch, and not one that is taken back; and whether the force has a jump there.
   bool switched() const { return switched_; }
   bool jumped() const { return jumped_; }
@@ -48,7 +53,7 @@ class Branches final : public SwitchFunctions {
     int without_motion = 0;  // changes at one instant
     bool held = false;
   };
-  double drive_value(int dof, const VecX& q, const VecX& v, Drive& next) const;
+  double drive_value(int dof, double t, const VecX& q, const VecX& v, Drive& next) const;
 
   const Tree* tree_;
   Actuation* actuation_;
@@ -59,6 +64,7 @@ class Branches final : public SwitchFunctions {
   std::vector<int> active_;  // laws that have a switch function in the step
   std::vector<Slackness> slackness_;
   VecX q0_;
+  double t0_ = 0.0, h_ = 0.0;
   long changes_ = 0;  // in the control step
   bool switched_ = false, jumped_ = false;
 };

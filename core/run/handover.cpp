@@ -102,7 +102,7 @@ bool Simulator::step_island(long step, double t, double length, const VecX& tau,
   state_.status.code = StatusCode::kSuccess;
   if (tau.size() > 0) state_.work.expect_inputs();
   does_work_ |= tau.size() > 0;
-  actuation_.set(tau, target, 0, state_.q, state_.p);
+  actuation_.set(t, tau, target, 0, state_.q, state_.p);
   return advance_interval(t, length, actuation_.force(), recording);
 }
 

@@ -90,20 +90,27 @@ bool advance_state(Integrator& integrator, Guide& guide, double t, double h, Vec
   return false;
 }
 
-// The servos of a run, whose references are constant; none where actuators have limits, so that their branches matter.
+// The servos of a run; none where there are no references. Moving ones are still to be referred to a time.
 Servo servos_of(const Tree& tree, const KeptRun& run) {
   const Elements& e = tree.elements;
   Servo servo;
   const Servo& used = run.state.actuators.servo;
   if (e.servo_kp.size() == 0 || used.q_ref.size() == 0) return servo;
-  servo = {true, e.servo_kp, e.servo_kd, used.q_ref, used.v_ref, VecX::Zero(tree.nv), {}};
+  servo.any = true;
+  servo.kp = e.servo_kp;
+  servo.kd = e.servo_kd;
+  servo.q_ref = used.q_ref;
+  servo.v_ref = used.v_ref;
+  servo.feed = VecX::Zero(tree.nv);
+  if (run.references) servo.moving = &run.references;
   return servo;
 }
 
 // Whether steps are known whole only, by their polynomials: the branches of actuators in them are not kept.
 bool has_branches(const Tree& tree) {
   const Elements& e = tree.elements;
-  return e.servo_kp.size() > 0 && e.effort.size() + e.speed.size() > 0;
+  const auto any = [](const VecX& limits) { return limits.size() > 0 && limits.minCoeff() < kInfinity; };
+  return e.servo_kp.size() > 0 && (any(e.servo_effort) || any(e.effort) || any(e.speed));
 }
 
 }  // namespace
@@ -165,7 +172,7 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
       over_time ? nodes_over_time(t, both, times) : nodes_in_parts(t, both, times, paths);
   Guide guide(tree, arrays_of(other.recording.segments), impact_times(other.recording));
   Integrator integrator(tree, options.stages, options.tol, options.max_iterations, keeps_constraints(tree, options));
-  const Servo servo = servos_of(tree, other);
+  Servo servo = servos_of(tree, other);
   integrator.set_servo(&servo);
   VecX apart(static_cast<Eigen::Index>(nodes.size())), q(tree.nq), p(tree.nv);
   for (std::size_t k = 0; k < nodes.size(); ++k) {
@@ -174,6 +181,7 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
     const double begin = paths.start(segment);
     q = paths.q(segment);
     p = paths.p(segment);
+    if (servo.moving != nullptr) servo.refer(begin);
     const bool solved = !has_branches(tree) && !paths.persistent(segment) && paths.step_to(time) > 0.0 &&
                         advance_state(integrator, guide, begin, time - begin, q, p);
     const bool known = solved || paths.state(time, integrator, q, p);  // from the polynomial
@@ -216,7 +224,7 @@ double error_share(const KeptRun& companion, const KeptRun& found, int power, do
 
 double first_step_error(const Scene& scene, const SimulatorOptions& options, const KeptRun& run) {
   const Tree& tree = scene.tree;
-  const Servo servo = servos_of(tree, run);
+  Servo servo = servos_of(tree, run);
   if ((!tree.has_damping && !tree.elements.any_force() && !servo.any) || has_branches(tree)) return 0.0;
   const Segments& s = run.recording.segments;
   const std::vector<double> impacts = impact_times(run.recording);
@@ -241,6 +249,7 @@ double first_step_error(const Scene& scene, const SimulatorOptions& options, con
     if (path == nullptr) return kInfinity;
     VecX q = paths.q(segment), p = paths.p(segment);
     const double half = 0.5 * paths.length(segment), middle = paths.start(segment) + half;
+    if (servo.moving != nullptr) servo.refer(middle - half);
     if (!advance_state(integrator, guide, middle - half, half, q, p) ||
         !advance_state(integrator, guide, middle, half, q, p))
       return kInfinity;

@@ -13,7 +13,8 @@ struct KeptRun {
   RunState state;
   EngineCounters counters;
   Status status;
-  double seconds = 0;  // wall time
+  double seconds = 0;                // wall time
+  MovingReferences references = {};  // of the servos; empty: they are constant
 };
 
 // The segments of a recording, as those who read them take them.

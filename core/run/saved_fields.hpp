@@ -55,7 +55,8 @@ void fields(Archive& a, ChangeRecord& x) {
 
 template <class Archive>
 void fields(Archive& a, Servo& x) {
-  auto& [any, kp, kd, q_ref, v_ref, feed, held] = x;
+  // Moving references are those of one call.
+  [[maybe_unused]] auto& [any, kp, kd, q_ref, v_ref, feed, moving, held] = x;
   values(a, any, kp, kd, q_ref, v_ref, feed, held);
 }
 

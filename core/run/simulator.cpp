@@ -225,8 +225,8 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
     }
     if (passed > 0) continue;
     if (tau.rows() > 0) force = tau.row(k).transpose();
-    actuation_.set(force, target, k, state_.q, state_.p);
     const double start = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+    actuation_.set(start, force, target, k, state_.q, state_.p);
     if (!advance_interval(start, options_.dt, actuation_.force(), recording)) {
       // Where the run ends inside a step, its last node is the state there.
       if (state_.status.code != StatusCode::kNotFinite && state_.status.time > recording.t.back())
@@ -313,7 +313,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     interval.checked = false;
     if (parts++ > 0) {
       if (!report_progress(start + interval.done)) return false;
-      if (!interval.keeps_branches) actuation_.limit(state_.q, state_.p);
+      if (!interval.keeps_branches) actuation_.limit(start + interval.done, state_.q, state_.p);
     }
     if (state_.dense.active) {
       state_.watch.known = false;
@@ -391,6 +391,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     return reject();
   if (holds) modes_.take_step(h, v_, interval.tau);
   bool switches = false;  // the step is to end where a branch does
+  if (branches_.count() > 0) branches_.take_step(at, h);
   if (branches_.count() > 0 || modes_.count() > 0) {
     const Search found = switches_.search(state_.q, state_.p, v_, q1_, p1_, h, interval.tau);
     if (found != Search::kNone) integrator_.forget();

@@ -32,7 +32,8 @@ struct AutoSteps {
   // Steps, at least, from an impact to the end of the step that it is in. Two runs may end that step at the same time;
   // what comes after the impact shows no error in their distance if both make it in one step.
   int after_impact = 1;
-  MatX target = MatX();  // references of the servos, (1, 2 nv): constant; no rows: there are none
+  MatX target = MatX();  // references of the servos, (1, 2 nv): constant; no rows: there are none, or they move
+  const MovingReferences* references = nullptr;  // those that move
 };
 
 struct SimulatorOptions {

@@ -209,13 +209,15 @@ double constrain_acceleration(StepEquations& equations, const VecCRef& q, const 
   return -force.dot(turning);
 }
 
-void add_servo(const Tree& tree, const Servo* servo, const VecCRef& q, const VecCRef& v, VecRef f) {
+void add_servo(const Tree& tree, const Servo* servo, double t, const VecCRef& q, const VecCRef& v, VecRef f) {
   if (servo == nullptr || !servo->any) return;
+  const VecX references = servo->moving != nullptr ? (*servo->moving)(t) : VecX();
   for (const Joint& joint : tree.joints) {
     if (joint.nv != 1) continue;
     const int d = joint.iv;
     if (servo->kp[d] != 0.0) f[d] += servo->kp[d] * joint_error(joint, q, servo->q_ref[d]);
     f[d] += servo->feed[d] + servo->kd[d] * (servo->v_ref[d] - v[d]);
+    if (references.size() > 0) f[d] += servo->lead(references, d);
   }
 }
 
@@ -302,7 +304,7 @@ void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef&
     public_to_engine(tree, q, applied);
     a += applied;
   }
-  add_servo(tree, equations.servo(), q, v, a);
+  add_servo(tree, equations.servo(), equations.time(), q, v, a);
   if (equations.field().any()) {
     VecX size = VecX::Zero(tree.nv);
     equations.field().add(equations.time(), q, v, a, size);

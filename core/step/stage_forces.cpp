@@ -7,6 +7,16 @@
 
 namespace contactvi {
 
+void Servo::refer(double t) {
+  const VecX references = (*moving)(t);
+  q_ref = references.head(kp.size());
+  v_ref = references.tail(kp.size());
+}
+
+double Servo::lead(const VecX& references, int dof) const {
+  return kp[dof] * (references[dof] - q_ref[dof]) + kd[dof] * (references[kp.size() + dof] - v_ref[dof]);
+}
+
 // The gains of servos are added to the stiffness and damping of their joints.
 void Stages::set_servo(const Servo* servo) {
   const bool before = servo_ != nullptr && servo_->any, now = servo != nullptr && servo->any;
@@ -64,7 +74,14 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
     work_.tau = input_;
   }
   if (field_.any()) q0_ = q0;
-  work_.extra = split || has_ball_springs_ || field_.any() ? &Stages::add_extra : nullptr;
+  if (leads()) {
+    lead_.resize(tree_->nv, work_.s);
+    for (int i = 0; i < work_.s; ++i) {
+      const VecX references = (*servo_->moving)(time(i));
+      for (int d = 0; d < tree_->nv; ++d) lead_(d, i) = servo_->lead(references, d);
+    }
+  }
+  work_.extra = split || has_ball_springs_ || field_.any() || leads() ? &Stages::add_extra : nullptr;
 }
 
 double Stages::servo_torque(int d, int i) const {
@@ -72,7 +89,7 @@ double Stages::servo_torque(int d, int i) const {
   const int at = d * work_.S + i;
   double torque = servo_->feed[d] + servo_->kd[d] * (servo_->v_ref[d] - v_[at]);
   if (servo_->kp[d] != 0.0) torque += servo_->kp[d] * (joint_error(joint, q0_, servo_->q_ref[d]) - X_[at]);
-  return torque;
+  return leads() ? torque + lead_(d, i) : torque;
 }
 
 double Stages::input_power(int i) const {
@@ -89,6 +106,7 @@ double Stages::input_power(int i) const {
     const double v = v_[d * S + i], kp = servo_->kp[d];
     if (kp != 0.0) total += kp * (joint_error(joint, q0_, servo_->q_ref[d]) - X_[d * S + i]) * v;
     total -= servo_->kd[d] * v * v;
+    if (leads()) total += lead_(d, i) * v;
   }
   return total;
 }
@@ -107,6 +125,17 @@ void Stages::add_forces() {
   if (has_inputs_ && !tree_->split.empty()) add_split_inputs();
   if (has_ball_springs_) add_ball_springs();
   if (field_.any()) add_elements();
+  if (leads()) add_lead();
+}
+
+void Stages::add_lead() {
+  const int S = work_.S;
+  for (int d = 0; d < tree_->nv; ++d)
+    for (int i = 0; i < S; ++i) {
+      const double torque = lead_(d, std::min(i, work_.s - 1));  // padding lanes repeat the last stage
+      G_[d * S + i] += torque;
+      magnitude_[d * S + i] += std::abs(torque);
+    }
 }
 
 void Stages::add_elements() {

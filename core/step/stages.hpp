@@ -4,6 +4,7 @@
 // configuration group; the equations are in lanes/lane_iteration.hpp. s = 1 is the midpoint rule.
 #pragma once
 
+#include <functional>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -15,14 +16,23 @@
 
 namespace contactvi {
 
-// Servos of joints with one degree of freedom during one control step, with the torques kp (q_ref - q) + kd (v_ref - v)
-// + feed.
+// References of servos at a time [s]: positions by dof and then velocities, (2 nv,).
+using MovingReferences = std::function<VecX(double)>;
+
+// Servos of joints with one degree of freedom, with the torques kp (q_ref - q) + kd (v_ref - v) + feed: during one
+// control step, or in all steps with references that move within them.
 struct Servo {
   bool any = false;
   VecX kp, kd, q_ref, v_ref, feed;  // nv
+  // Not null: q_ref and v_ref are those of one time near the start of the step, from which these go on.
+  const MovingReferences* moving = nullptr;
   // Of derivatives: joints whose force is that of a limit, whatever the inputs, gains and references are; empty: none.
   std::vector<char> held;
   bool holds(int dof) const { return !held.empty() && held[static_cast<std::size_t>(dof)] != 0; }
+  // Sets q_ref and v_ref to moving references at a time.
+  void refer(double t);
+  // By how much the torque of a joint is that of references that have moved on, (2 nv,), and not of q_ref and v_ref.
+  double lead(const VecX& references, int dof) const;
 };
 
 class Stages {
@@ -137,6 +147,8 @@ class Stages {
   void add_split_inputs();
   void add_ball_springs();
   void add_elements();
+  void add_lead();
+  bool leads() const { return servo_ != nullptr && servo_->any && servo_->moving != nullptr; }
 
   const Tree* tree_;
   const FlatModel* model_;
@@ -154,6 +166,7 @@ class Stages {
   double t0_ = 0.0;
   VecX q0_, tau_, q_stage_, X_stage_, v_stage_, force_, size_;
   VecX element_input_, element_dissipation_;  // per stage
+  MatX lead_;  // torques of servos because their references move, dofs x stages; used where there are such
   bool has_ball_springs_ = false, has_inputs_ = false;
   VecX turns_;  // per dof: of the lane's frame about the joint axis [rad]; empty where q has more numbers than v
   // Step lengths for which diagonal_ and the tableau hA_ were made; NaN: none.

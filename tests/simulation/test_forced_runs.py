@@ -91,10 +91,9 @@ def test_the_control_is_named_with_the_time():
 
 def test_dt_auto_is_refused_where_the_step_matters():
     scene = ball_scene()
-    scene.add_force(lambda t, q, v: np.zeros(6))
-    with pytest.raises(cvi.InputError, match="forces given in Python"):
-        cvi.simulate(scene, duration=0.1, dt="auto")
-    assert cvi.simulate(scene, duration=0.1).options.dt == 1e-3
+    with pytest.raises(cvi.InputError, match="a time in seconds with control"):
+        cvi.simulate(scene, duration=0.1, dt="auto", control=np.zeros(6))
+    assert cvi.simulate(scene, duration=0.1, control=np.zeros(6)).options.dt == 1e-3
     with pytest.raises(cvi.InputError, match="energy_rise"):
         cvi.simulate(scene, duration=0.1, dt=1e-3, ledger={"energy_rise": 1e-9})
     with pytest.raises(cvi.InputError, match="conservative"):
