@@ -39,7 +39,7 @@ bool ContactStep::may_release() const {
 
 // b_ = d/dt (W v) of all rows without contact forces. node1_ is at q, and the equations hold the mass matrix there.
 bool ContactStep::accelerations(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau) {
-  forward_dynamics(equations, q, v, tau, acceleration_);
+  forward_dynamics(equations, q, v, node1_.t, tau, acceleration_);
   if (!acceleration_.allFinite()) return false;
   const double speed = v.cwiseAbs().maxCoeff(), delta = std::min(kLongest, kSide / (speed + kSide));
   b_.noalias() = node1_.W.transpose() * acceleration_;

@@ -98,7 +98,7 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
   const PhaseEnd& s = end_;
   const int rows = s.rows, equations = constraints_.rows();
   if (!masses_.node_velocity(q, p, v_)) throw Error("the mass matrix is not positive definite");
-  forward_dynamics(masses_, q, v_, tau, a_);
+  forward_dynamics(masses_, q, v_, end_.time, tau, a_);
   guards_.place(q);
   W_.setZero(scene_->tree.nv, rows);
   dW_.setZero(scene_->tree.nv, rows);

@@ -85,7 +85,7 @@ MatX SlipStart::differences(Eigen::Index count, Size size, Move move) {
 VecX SlipStart::across(const Place& at) {
   const Eigen::Index n = scene_->tree.nv, slides = at.angles.size();
   if (!masses_.node_velocity(at.q, at.p, v_)) throw Error("the mass matrix is not positive definite");
-  forward_dynamics(masses_, at.q, v_, at.tau, a_);
+  forward_dynamics(masses_, at.q, v_, record_->t, at.tau, a_);
   VecX loaded = load_;
   masses_.solve_mass(loaded);
   a_ += loaded;

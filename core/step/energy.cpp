@@ -288,7 +288,8 @@ void energy_gradient(StepEquations& equations, const VecCRef& q, const VecCRef& 
   gradient -= G;
 }
 
-void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a) {
+void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, const VecX& tau,
+                      VecRef a) {
   const Tree& tree = equations.tree();
   Placements at(tree);
   place(tree, q, at);
@@ -304,10 +305,10 @@ void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef&
     public_to_engine(tree, q, applied);
     a += applied;
   }
-  add_servo(tree, equations.servo(), equations.time(), q, v, a);
+  add_servo(tree, equations.servo(), t, q, v, a);
   if (equations.field().any()) {
     VecX size = VecX::Zero(tree.nv);
-    equations.field().add(equations.time(), q, v, a, size);
+    equations.field().add(t, q, v, a, size);
   }
   // Gravity acts like an acceleration of the world upwards.
   for (std::size_t i = 0; i < bodies.size(); ++i) bias[i].lin -= bodies[i].gravity;

@@ -33,7 +33,8 @@ void energy_gradient(StepEquations& equations, const VecCRef& q, const VecCRef& 
 
 // a = M^-1 (forces) at (q, v): gravity, springs, damping and the inputs tau (public coordinates, or empty), without
 // contact. The node of `equations` must be placed at q.
-void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a);
+void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, const VecX& tau,
+                      VecRef a);
 
 // Total linear momentum and angular momentum about the origin, world frame, (6,).
 Eigen::Matrix<double, 6, 1> spatial_momentum(const Tree& tree, const VecCRef& q, const VecCRef& v);

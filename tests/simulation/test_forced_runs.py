@@ -94,6 +94,7 @@ def test_dt_auto_is_refused_where_the_step_matters():
     with pytest.raises(cvi.InputError, match="a time in seconds with control"):
         cvi.simulate(scene, duration=0.1, dt="auto", control=np.zeros(6))
     assert cvi.simulate(scene, duration=0.1, control=np.zeros(6)).options.dt == 1e-3
+    scene.add_force(lambda t, q, v: np.zeros(6))
     with pytest.raises(cvi.InputError, match="energy_rise"):
         cvi.simulate(scene, duration=0.1, dt=1e-3, ledger={"energy_rise": 1e-9})
     with pytest.raises(cvi.InputError, match="conservative"):
