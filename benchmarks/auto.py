@@ -33,7 +33,10 @@ from compare import job_of
 
 import contactvi as cvi
 
-PARTS = {8: (1, 2, 3, 5, 8, 12, 20, 40), 16: (0.5, 1, 1.5, 2, 3, 4, 6, 8, 12)}  # steps per tenth of a second
+PARTS = {
+    8: (1, 2, 3, 5, 8, 12, 20, 40, 60),
+    16: (0.5, 1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24, 40),
+}  # steps per tenth of a second
 SCENES = (*(name for name in scenes.NAMES if name != "S2_n100"), *scenes.ARMS)
 BAR = 2.0  # of the time of "auto" over that of the best fixed setting
 STAGE_TOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)

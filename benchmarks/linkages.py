@@ -1,6 +1,6 @@
 """Closed linkages: time against error, contactvi with loops as constraints and SciPy's DOP853 in reduced coordinates.
 
-    python benchmarks/linkages.py [--repeat 5] [--only biped] [--orders]
+    python benchmarks/linkages.py [--repeat 5] [--only biped] [--orders] [--costs]
 
 The reduced coordinate of a linkage with one motion is the angle of its crank: the equation that a person derives by
 hand, without any loop, in Python's floats. A biped with two closed legs (biped.py) has 8 or 14 coordinates; its
@@ -10,8 +10,11 @@ compiler. The same by Pinocchio's constraintDynamics in all joints stands beside
 Each method is run with its own tolerance 1e-3, 1e-4, ... 1e-12, and the cheapest run counts whose error over all nodes
 is below the one asked for: of the crank's angle, of the biped that of any joint, the trunk's place and its orientation.
 The reference is DOP853 at 1e-13. Times are CPU times of the call alone, the least of some rounds through all methods.
+Beside dt="auto" stands the best of some fixed settings in which no step was cut in two: what is lost by not knowing it.
 
 --orders: the error at the end for steps of one length, and the observed order.
+--costs: what a call, a step and a stage iteration of the biped cost, with its loops and without them; least squares
+over steps of one length with several tolerances.
 """
 
 from __future__ import annotations
@@ -22,10 +25,10 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -40,6 +43,8 @@ from oracles import four_bar
 
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10)
 TOLERANCES = [float(tol) for tol in 10.0 ** -np.arange(3, 13)]
+FIXED = {8: (6, 8, 12, 16, 24, 32, 48, 64, 96), 16: (4, 6, 8, 12, 16, 24, 32, 48, 64)}  # steps per second
+STAGE_TOLS = (1e-6, 1e-8, 1e-10, 1e-12)
 BAR, BARRED = 3.0, (1e-6, 1e-8)  # of DOP853's time over contactvi's, at these errors
 SLIDER_CRANK = (0.1, 0.3)  # [m]
 MASSES = (1.0, 2.0, 3.0)  # of crank, rod and slider [kg]
@@ -188,6 +193,37 @@ def least(calls: dict[str, Callable[[], object]], repeat: int) -> dict[str, floa
     return best
 
 
+def simulation(linkage: Linkage, setting: dict[str, Any]) -> Callable[[], cvi.Trajectory]:
+    """Return a call of simulate, without its warnings."""
+
+    def call() -> cvi.Trajectory:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return cvi.simulate(linkage.scene, linkage.q, linkage.v, linkage.duration, **setting)
+
+    return call
+
+
+def best_fixed(linkage: Linkage, error: Callable[[Array, Array], float], repeat: int) -> dict[float, float]:
+    """Return for each error asked for the time of the best fixed setting [ms]; infinite where none meets it."""
+    found = []
+    for order, counts in FIXED.items():
+        for count in counts:
+            for tol in STAGE_TOLS:
+                call = simulation(linkage, {"order": order, "dt": 1.0 / count, "tol": tol})
+                try:
+                    traj = call()
+                except cvi.ContactviError:
+                    continue
+                if traj.status.ok and not traj.stats.halved:
+                    found.append((least({"": call}, 1)[""], error(traj.t, linkage.shown(traj.q)), call))
+    times = {}
+    for asked in ERRORS:
+        good = sorted((row for row in found if row[1] <= asked), key=lambda row: row[0])[:4]
+        times[asked] = min(least({str(k): row[2] for k, row in enumerate(good)}, repeat).values(), default=np.inf)
+    return {asked: min(time for error, time in times.items() if error <= asked) for asked in ERRORS}
+
+
 def compare(linkage: Linkage, repeat: int) -> None:
     exact = linkage.reference.run(linkage.duration, 1e-13, dense=True)[2]
 
@@ -199,11 +235,9 @@ def compare(linkage: Linkage, repeat: int) -> None:
         calls: dict[str, Callable[[], object]] = {
             who: partial(rival.run, linkage.duration, tol) for who, rival in linkage.rivals.items()
         }
-        calls["contactvi"] = partial(cvi.simulate, linkage.scene, linkage.q, linkage.v, linkage.duration, tol=tol)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            spent = least(calls, repeat)
-            traj = cvi.simulate(linkage.scene, linkage.q, linkage.v, linkage.duration, tol=tol)
+        automatic = simulation(linkage, {"tol": tol})
+        calls["contactvi"] = automatic
+        spent, traj = least(calls, repeat), automatic()
         errors = {"contactvi": error(traj.t, linkage.shown(traj.q))}
         for who, rival in linkage.rivals.items():
             t, shown, _ = rival.run(linkage.duration, tol)
@@ -212,13 +246,16 @@ def compare(linkage: Linkage, repeat: int) -> None:
         last = f"{traj.stats.steps} steps and {traj.stats.sweeps} stage iterations in the last run"
         told = f"error {errors['contactvi']:.1e}, estimate {traj.error_estimate:.1e}"
         print(f"  {linkage.name}: tol {tol:.0e}: {last}, {told}", file=sys.stderr)
+    fixed = best_fixed(linkage, error, repeat)
     for asked in ERRORS:
         best = {who: min((t for w, e, t in rows if w == who and e <= asked), default=np.nan) for who, *_ in rows}
         who = min(linkage.rivals, key=lambda name: best[name] if np.isfinite(best[name]) else np.inf)
         ratio = best[who] / best["contactvi"]
         verdict = ("met" if ratio >= BAR else "MISSED") if asked in BARRED else "-"
-        others = ", ".join(f"{best[name]:.2f}" for name in linkage.rivals)
-        print(f"| {linkage.name} | {asked:.0e} | {best['contactvi']:.2f} | {others} | {ratio:.2g} | {verdict} |")
+        others = ", ".join(f"{best[name]:.2f}" if np.isfinite(best[name]) else "never" for name in linkage.rivals)
+        known = f"{fixed[asked]:.2f} | {best[who] / fixed[asked]:.2g}" if np.isfinite(fixed[asked]) else "never | -"
+        own = f"{best['contactvi']:.2f}"
+        print(f"| {linkage.name} | {asked:.0e} | {own} | {others} | {ratio:.2g} | {verdict} | {known} |")
 
 
 def orders(linkage: Linkage) -> None:
@@ -228,11 +265,31 @@ def orders(linkage: Linkage) -> None:
     for order, counts in ((2, (800, 1600, 3200)), (4, (400, 800, 1600)), (8, (100, 200, 400)), (16, (40, 60, 80))):
         errors = []
         for n in counts:
-            options = {"dt": linkage.duration / n, "order": order, "tol": 1e-14}
+            options: dict[str, Any] = {"dt": linkage.duration / n, "order": order, "tol": 1e-14}
             traj = cvi.simulate(linkage.scene, linkage.q, linkage.v, linkage.duration, **options)
             errors.append(linkage.distance(linkage.shown(traj.q[-1:]), shown))
         seen = np.log(np.divide(errors[:-1], errors[1:])) / np.log(np.divide(counts[1:], counts[:-1]))
         print(f"| {order} | {', '.join(f'{e:.1e}' for e in errors)} | {', '.join(f'{o:.2f}' for o in seen)} |")
+
+
+def costs(repeat: int) -> None:
+    """Print what a call, a step and a stage iteration of the biped cost, with loops and without."""
+    print("| biped | order | loops | call [us] | step [us] | stage iteration [us] |\n|---|---|---|---|---|---|")
+    for flies in (False, True):
+        linkage = walker(flies)
+        for order in (8, 16):
+            for loops, scene in (("yes", linkage.scene), ("no", cvi.Scene.from_pinocchio(biped.model(flies)))):
+                rows, times = [], []
+                for count, tol in ((n, tol) for n in (24, 32, 48, 64) for tol in (1e-7, 1e-9, 1e-11, 1e-13)):
+                    setting = {"order": order, "dt": linkage.duration / count, "tol": tol, "dense": False}
+                    call = simulation(replace(linkage, scene=scene), setting)
+                    stats = call().stats
+                    if stats.steps == count and not stats.halved:
+                        rows.append((1.0, count, stats.sweeps))
+                        times.append(1e3 * least({"": call}, repeat)[""])
+                each = np.linalg.lstsq(np.array(rows), np.array(times), rcond=None)[0]
+                name = linkage.name.removeprefix("biped, ")
+                print(f"| {name} | {order} | {loops} | " + " | ".join(f"{value:.3g}" for value in each) + " |")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -240,15 +297,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--only", default="", help="linkages whose names begin with this")
     parser.add_argument("--orders", action="store_true")
+    parser.add_argument("--costs", action="store_true")
     chosen = parser.parse_args(arguments)
+    if chosen.costs:
+        costs(chosen.repeat)
+        return
     linkages = [linkage for linkage in all_linkages() if linkage.name.startswith(chosen.only)]
     if chosen.orders:
         for linkage in linkages:
             print(f"{linkage.name}\n\n| order | errors [rad, m] | observed order |\n|---|---|---|")
             orders(linkage)
         return
-    print("| linkage | error [rad, m] | contactvi [ms] | DOP853: reduced, constraintDynamics [ms] | ratio | bar of 3 |")
-    print("|---|---|---|---|---|---|")
+    print("| linkage | error [rad, m] | contactvi [ms] | DOP853: reduced, constraintDynamics [ms] | ratio | bar of 3"
+          " | fixed [ms] | its ratio |\n|---|---|---|---|---|---|---|---|")  # fmt: skip
     for linkage in linkages:
         compare(linkage, chosen.repeat)
 
