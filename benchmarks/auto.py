@@ -1,4 +1,4 @@
-"""dt = "auto" beside the best fixed setting, which a newcomer does not know, on the scenes of peers/compare.py.
+"""dt = "auto" beside the best fixed setting, which a newcomer does not know: scenes of peers/compare.py and four arms.
 
     python benchmarks/auto.py [--tols 1e-3 1e-6 1e-8] [--scenes S1 talos] [--repeats 5]
 
@@ -8,7 +8,7 @@ long as the fixed one (floor); the time in the engine, of all runs, over that of
 of all stages) of its last run over those of the fixed one; its error over tol, and its estimate of the error over the
 error. Errors are the largest over the samples of tenths of a second, against the references of
 benchmarks/peers/scenes.py. Times are CPU times of this process, the least of the repeats; those in the engine are wall
-times, which are too long where the machine does other things.
+times, which are too long where the machine does other things. At the end: median and largest ratio of each tol.
 """
 
 from __future__ import annotations
@@ -33,8 +33,11 @@ from compare import job_of
 
 import contactvi as cvi
 
-PARTS = {8: (1, 2, 3, 5, 8, 12, 20, 40), 16: (0.5, 1, 1.5, 2, 3, 4, 6, 8, 12)}  # steps per tenth of a second
-SCENES = tuple(name for name in scenes.NAMES if name != "S2_n100")
+PARTS = {
+    8: (1, 2, 3, 5, 8, 12, 20, 40, 60),
+    16: (0.5, 1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24, 40),
+}  # steps per tenth of a second
+SCENES = (*(name for name in scenes.NAMES if name != "S2_n100"), *scenes.ARMS)
 BAR = 2.0  # of the time of "auto" over that of the best fixed setting
 STAGE_TOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
@@ -143,12 +146,20 @@ def main() -> None:
     given = parser.parse_args()
     print(f"{'scene':8} {'tol':>7} {'fixed ms':>9} {'auto ms':>9} {'ratio':>6} {'floor':>6} {'engine':>7}"
           f" {'sweeps':>7} {'error/tol':>10} {'estimate/error':>15}  best fixed setting")  # fmt: skip
+    ratios: dict[float, dict[str, float]] = {tol: {} for tol in given.tols}
     for row in compare(given.scenes, given.tols, given.repeats):
+        ratios[row.tol][row.scene] = row.ratio
         setting = row.setting
         shown = f"order {setting['order']}, dt {setting['dt']:.4g}, tol {setting['tol']:.0e}"
         print(f"{row.scene:8} {row.tol:7.0e} {1e3 * row.fixed.whole:9.3f} {1e3 * row.auto.whole:9.3f}"
               f" {row.ratio:6.2f} {row.floor:6.2f} {row.auto.engine / row.fixed.engine:7.2f} {row.sweeps:7.2f}"
               f" {row.error / row.tol:10.3f} {row.estimate / row.error:15.2f}  {shown}", flush=True)  # fmt: skip
+    for tol, found in ratios.items():
+        if not found:
+            continue
+        over = [name for name, ratio in found.items() if ratio > BAR]
+        print(f"tol {tol:.0e}: median {np.median(list(found.values())):.2f}, largest {max(found.values()):.2f}"
+              f" ({max(found, key=lambda name: found[name])}), over {BAR:g}: {', '.join(over) or 'none'}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -2,6 +2,9 @@
 
     python benchmarks/peers/compare.py [--scenes S1,S4_e1] [--peers contactvi,mujoco] [-o DIR] [--passes 2]
                                        [--reuse OLD/peers.csv]
+    python benchmarks/peers/compare.py --scenes hands -o DIR
+
+`hands` are four hands with mimic joints, which take minutes of their own (mimic_hands.py).
 
 Runs in an environment with contactvi. Each peer runs in its own interpreter, given by CONTACTVI_PEER_MUJOCO,
 CONTACTVI_PEER_DRAKE, CONTACTVI_PEER_JIMINY, CONTACTVI_PEER_PYBULLET, or in this one where it is installed here; a peer
@@ -32,7 +35,7 @@ import peer_contactvi
 import pinocchio as pin
 import scenes
 from report import markdown, picture
-from settings import ESTIMATE, PEERS, settings
+from settings import ESTIMATE, HANDS, PEERS, settings
 
 import contactvi as cvi
 from contactvi import _core
@@ -78,7 +81,7 @@ def job_of(scene: scenes.Scene, folder: Path) -> dict[str, Any]:
         "base": scene.q0[:nq].tolist(), "base_v": scene.v0[:nv].tolist(),
         "q0": scene.q0[nq:].tolist(), "v0": scene.v0[nv:].tolist(), "duration": scene.duration, "sample": scenes.SAMPLE,
         "gravity": scenes.GRAVITY, "balls": balls, "wall": scene.wall, "floor": scene.floor,
-        "neighbours": scene.neighbours, "restitution": scene.restitution,
+        "neighbours": scene.neighbours, "restitution": scene.restitution, "followers": scene.followers,
     }  # fmt: skip
 
 
@@ -174,7 +177,7 @@ def store(rows: list[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", default=",".join(scenes.NAMES))
+    parser.add_argument("--scenes", default=",".join(scenes.NAMES), help="or hands: those with mimic joints")
     parser.add_argument("--peers", default=",".join(PEERS))
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--passes", type=int, default=1, help="through everything; the fastest time counts")
@@ -186,14 +189,14 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("out/peers"))
     args = parser.parse_args()
     args.output.mkdir(parents=True, exist_ok=True)
-    wanted = args.peers.split(",")
+    wanted, names = args.peers.split(","), list(HANDS) if args.scenes == "hands" else args.scenes.split(",")
     peers = [peer for peer in wanted if interpreter(peer)]
     rows: dict[tuple[str, str, str], dict[str, Any]] = {}
     own: dict[str, float] = {}
     estimates: dict[str, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for scene_name in args.scenes.split(",") * args.passes:
+        for scene_name in names * args.passes:
             scene = scenes.make(scene_name)
             q_ref, own[scene_name] = scenes.reference(scene)
             plain = job_of(scene, folder)

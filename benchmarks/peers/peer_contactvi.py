@@ -19,7 +19,7 @@ COUNTS = ("steps", "sweeps", "halved", "rejected", "impacts", "seconds")  # seco
 
 def build(job: dict) -> cvi.Scene:
     scene = cvi.Scene()
-    scene.add_urdf(job["urdf_file"], base="free" if job["base"] else "fixed", mimic=False)
+    scene.add_urdf(job["urdf_file"], base="free" if job["base"] else "fixed", mimic=bool(job["followers"]))
     scene.set_contact(restitution=job["restitution"])
     for joint in job["joints"]:
         scene.set_joint(joint, limits=False)

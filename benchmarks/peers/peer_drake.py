@@ -3,6 +3,9 @@
 Point contact is stiffness * depth * (1 + dissipation * speed): elastic without dissipation. For a smaller restitution
 the dissipation is right at the speed of the first impact only, because it depends on that speed. S7:
 hand_drake.py, lasting contact: contact_drake.py.
+
+Mimic joints are coupler constraints, which the discrete plant with SAP has (setting: dt), and CENIC (integrator,
+accuracy); the other integrators refuse constraints.
 """
 
 from __future__ import annotations
@@ -15,8 +18,14 @@ import numpy as np
 from pydrake.geometry import AddContactMaterial, HalfSpace, ProximityProperties, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant, MultibodyPlantConfig
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.multibody.plant import (
+    AddMultibodyPlant,
+    CoulombFriction,
+    DiscreteContactApproximation,
+    MultibodyPlant,
+    MultibodyPlantConfig,
+)
+from pydrake.systems.analysis import ApplySimulatorConfig, ResetIntegratorFromFlags, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
 from worker import Run, measure, without_shapes
 
@@ -40,9 +49,13 @@ def prepare(job: dict, setting: dict) -> Run:
         return hand_drake.prepare(job, setting)
     if job["name"].startswith("contact "):
         return contact_drake.prepare(job, setting)
-    config, builder = MultibodyPlantConfig(time_step=0.0, contact_model="point"), DiagramBuilder()
-    # Without contacts a plant of its own is faster than one with a scene graph.
-    plant = AddMultibodyPlant(config, builder)[0] if job["balls"] else builder.AddSystem(MultibodyPlant(0.0))
+    config = MultibodyPlantConfig(time_step=setting.get("dt", 0.0), contact_model="point")
+    builder, cenic = DiagramBuilder(), setting.get("integrator") == "cenic"
+    # Without contacts a plant of its own is faster than one with a scene graph, which CENIC asks for.
+    with_graph = job["balls"] or cenic
+    plant = AddMultibodyPlant(config, builder)[0] if with_graph else builder.AddSystem(MultibodyPlant(config.time_step))
+    if "dt" in setting:
+        plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
     plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -job["gravity"]])
     Parser(plant).AddModelsFromString(without_shapes(job["urdf"]), "urdf")
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
@@ -63,9 +76,12 @@ def prepare(job: dict, setting: dict) -> Run:
         add(plant.world_body(), RigidTransform(), HalfSpace(), "floor")
     plant.Finalize()
     simulator = Simulator(builder.Build())
-    ResetIntegratorFromFlags(simulator, setting["integrator"], 0.1)
-    simulator.get_mutable_integrator().set_fixed_step_mode(False)
-    simulator.get_mutable_integrator().set_target_accuracy(setting["accuracy"])
+    if cenic:
+        ApplySimulatorConfig(SimulatorConfig(integration_scheme="cenic", accuracy=setting["accuracy"]), simulator)
+    elif "accuracy" in setting:
+        ResetIntegratorFromFlags(simulator, setting["integrator"], 0.1)
+        simulator.get_mutable_integrator().set_fixed_step_mode(False)
+        simulator.get_mutable_integrator().set_target_accuracy(setting["accuracy"])
     context = simulator.get_mutable_context()
     plant_context = plant.GetMyMutableContextFromRoot(context)
     joints = [plant.GetJointByName(name) for name in job["joints"]]

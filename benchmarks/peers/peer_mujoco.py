@@ -1,7 +1,8 @@
 """MuJoCo. setting: integrator, dt; with contacts kdt2, the contact stiffness being kdt2 / dt^2.
 
 Its contact is soft by design. Here it is a spring of that stiffness (solref = -k, -b, impedance 0.9999) with the
-damping that gives the wanted restitution. All steps between two samples are one call. S7:
+damping that gives the wanted restitution. Mimic joints, which its reader makes joint equalities, are springs of that
+stiffness, too, critically damped. All steps between two samples are one call. S7:
 hand_mujoco.py, lasting contact: contact_mujoco.py.
 """
 
@@ -52,11 +53,13 @@ def prepare(job: dict, setting: dict) -> Run:
     model.jnt_limited[:] = 0
     if "kdt2" in setting:
         stiffness = setting["kdt2"] / dt**2
+        model.eq_solref[:] = -stiffness, -2.0 * math.sqrt(stiffness)
+        model.eq_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2.0
         model.geom_solref[:] = -stiffness, -2.0 * damping_ratio(job["restitution"]) * math.sqrt(stiffness)
         model.geom_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2.0
         model.geom_condim[:] = 1
         model.opt.tolerance = 1e-14
-    else:
+    if not job["balls"]:
         model.geom_contype[:] = model.geom_conaffinity[:] = 0
     data = mujoco.MjData(model)
     joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in job["joints"]]

@@ -1,9 +1,13 @@
-"""pin.aba under scipy's solve_ivp with event functions: what one writes without a package. setting: method, rtol."""
+"""pin.aba under scipy's solve_ivp with event functions: what one writes without a package. setting: method, rtol.
+
+Hands with mimic joints: coupled_scipy.py.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import coupled_scipy
 import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
@@ -57,6 +61,8 @@ def contacts(job: dict, model: pin.Model) -> list[Touch]:
 
 
 def prepare(job: dict, setting: dict) -> Run:
+    if job["followers"]:
+        return coupled_scipy.prepare(job, setting)
     free = bool(job["base"])
     root = (pin.JointModelFreeFlyer(),) if free else ()
     model = pin.buildModelFromUrdf(job["urdf_file"], *root)

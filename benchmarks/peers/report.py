@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bars import OWN, TARGETS, best, describe, orders, table, time_of
+from bars import OWN, TARGETS, best, describe, orders, spread, table, time_of
 from matplotlib.figure import Figure
 from settings import ESTIMATE
 
@@ -38,7 +38,7 @@ def markdown(rows: Rows, own: dict[str, float], peers: list[str], missing: list[
                 cells.append(time_of(best(mine, target)) if mine else "-")
             lines.append(f"| {scene} | {target:.0e} | " + " | ".join(cells) + " |")
     if any(row["peer"] in OWN for row in rows):
-        lines += table(rows, list(own)) + orders(rows, own)
+        lines += table(rows, list(own)) + spread(rows, list(own)) + orders(rows, own)
     lines += [
         "",
         "Smallest error of each peer, at its time [ms per simulated s], with the energy error at the end [J]:",

@@ -1,4 +1,4 @@
-"""The scenes S1 to S6 and two robots as Pinocchio models, and their references; needs pin, numpy, scipy, contactvi.
+"""The scenes of compare.py and auto.py as Pinocchio models, and their references; needs pin, numpy, scipy, contactvi.
 
 - S1: double pendulum, massless rods of 1 m, balls of 1 kg, from (1.5, 1.0) rad at rest, 10 s.
 - S2: chain of n = 10, 40, 100 rods of 0.1 m and 0.1 kg, axes x and y in turn, from 3/n rad each, 1 s.
@@ -8,8 +8,11 @@
 - S6: five pendulums side by side (Newton's cradle), the first from -30 degrees, e = 1, 10 s.
 - panda: Panda arm (fingers locked), talos: Talos (reduced hands) with a free base, both from example-robot-data without
   damping, random speeds of 1 rad/s, 1 s. Nothing was tuned for these two.
+- Hands with mimic joints, 1 s: mimic_hands.py.
+- ur5, ur10, xarm7, z1: arms of example-robot-data, as the Panda; not among the scenes that compare.py runs by itself.
 
-References: S1 to S4 and the robots DOP853 on pin.aba at rtol 1e-13, impacts by Newton's iteration; S5 exact.
+References: S1 to S4 and the robots DOP853 on pin.aba at rtol 1e-13, impacts by Newton's iteration; S5 exact; hands with
+mimic joints the same on the equations in their free joints.
 
 A reference holds q at every multiple of 0.1 s. The reference of S6 is the ideal cradle: the moving ball hands all its
 momentum to the last one. The simultaneous impact has no unique answer; this is what the experiment shows.
@@ -19,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import mimic_hands
 import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
@@ -46,6 +50,7 @@ class Scene:
     floor: bool = False  # the balls stay at z >= 0
     neighbours: bool = False  # the balls touch their neighbours
     restitution: float = 1.0
+    followers: mimic_hands.Followers = field(default_factory=dict)  # joints that follow others
 
     @property
     def free(self) -> bool:
@@ -150,6 +155,11 @@ def make(name: str) -> Scene:
         scene = Scene(name, *robot("panda_description/urdf/panda.urdf", locked=fingers), 1.0)
     elif name == "talos":
         scene = Scene(name, *robot("talos_data/robots/talos_reduced.urdf", free=True), 1.0)
+    elif name in ARMS:
+        scene = Scene(name, *robot(ARMS[name]), 1.0)
+    elif name in mimic_hands.HANDS:
+        hand = mimic_hands.HANDS[name]()
+        scene = Scene(name, hand.model, *mimic_hands.start(hand), 1.0, followers=hand.followers)
     elif name.startswith("S4"):
         e = {"S4_e1": 1.0, "S4_e05": 0.5}[name]
         scene = Scene(name, double_pendulum(), np.array([-0.6, -0.9]), np.zeros(2), 3.0,
@@ -166,6 +176,10 @@ def make(name: str) -> Scene:
     return scene
 
 
+ARMS = {
+    "ur5": "ur_description/urdf/ur5_robot.urdf", "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "xarm7": "xarm_description/urdf/xarm7.urdf", "z1": "z1_description/urdf/z1.urdf",
+}  # fmt: skip
 NAMES = ("S1", "S2_n10", "S2_n40", "S2_n100", "S3", "S4_e1", "S4_e05", "S5", "S6", "panda", "talos")
 
 
@@ -175,7 +189,8 @@ def reference(scene: Scene) -> tuple[np.ndarray, float]:
         return _bounces(scene), 1e-14
     if scene.name == "S6":
         return _ideal_cradle(scene), 1e-11
-    states = [_integrate(scene, bound) for bound in (np.inf, 2e-3)]  # the second one with smaller steps
+    solve = _integrate_coupled if scene.followers else _integrate
+    states = [solve(scene, bound) for bound in (np.inf, 2e-3)]  # the second one with smaller steps
     return states[0], scene.distance(states[0], states[1])
 
 
@@ -208,6 +223,11 @@ def _integrate(scene: Scene, max_step: float) -> np.ndarray:
         y, t = run.y[:, -1], end
         out.append(pin.normalize(model, y[:n]))
     return np.array(out)
+
+
+def _integrate_coupled(scene: Scene, max_step: float) -> np.ndarray:
+    options = {"max_step": max_step, **TIGHT}
+    return mimic_hands.motion(scene.model, scene.followers, scene.q0, scene.v0, scene.samples, **options)
 
 
 def _crossing(scene: Scene) -> list:
@@ -285,8 +305,15 @@ def to_urdf(scene: Scene, shapes: dict[int, list[str]] | None = None) -> str:
         out.append(f'<joint name="{model.names[j]}" type="{kind}"><parent link="{parent}"/><child link="L{j}"/>'
                    f'<origin xyz="{text(place.translation)}" rpy="{text(pin.rpy.matrixToRpy(place.rotation))}"/>'
                    f'<axis xyz="{text(axis(model.joints[j]))}"/><limit lower="-1e4" upper="1e4" effort="1e6" '
-                   'velocity="1e6"/></joint>')  # fmt: skip
+                   f'velocity="1e6"/>{_mimic(scene, model.names[j])}</joint>')  # fmt: skip
     return "\n".join([*out, "</robot>"])
+
+
+def _mimic(scene: Scene, joint: str) -> str:
+    if joint not in scene.followers:
+        return ""
+    leader, ratio, offset = scene.followers[joint]
+    return f'<mimic joint="{leader}" multiplier="{ratio!r}" offset="{offset!r}"/>'
 
 
 def _components(moment: np.ndarray) -> list[tuple[str, float]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+HANDS = ("inspire_kind", "ability_kind", "svh_kind", "barrett_kind")  # with mimic joints
 CONTACT = ("S4_e1", "S4_e05", "S5", "S6")
 PEERS = ("contactvi", "contactvi auto", "scipy", "mujoco", "drake", "jiminy", "pybullet")
 ESTIMATE = "dop853 estimate"  # of compare.py, derived from scipy's rows
@@ -84,12 +85,17 @@ def _contactvi_auto(scene: str) -> Settings:
 
 
 def _scipy(scene: str) -> Settings:
+    if scene in HANDS:
+        return [{**s, "equations": name} for name in ("mimic", "projected") for s in _scipy("")]
     return _over("rtol", [10.0**-k for k in range(3, 13)], method="DOP853") + _over(
         "rtol", [1e-4, 1e-6, 1e-8, 1e-10, 1e-12], method="LSODA"
     )
 
 
 def _mujoco(scene: str) -> Settings:
+    if scene in HANDS:  # its joint equalities are soft: the stiffer, the smaller the step
+        dts = [5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5]
+        return [s for dt in dts for s in _over("kdt2", [0.01, 0.1, 1.0], integrator="RK4", dt=dt)]
     if scene in CONTACT:
         dts = [1e-3, 1e-4, 1e-5 if scene.startswith("S4") else 2e-5]
         return [s for i in ("RK4", "Euler") for dt in dts for s in _over("kdt2", [0.01, 0.1], integrator=i, dt=dt)]
@@ -100,6 +106,8 @@ def _mujoco(scene: str) -> Settings:
 def _drake(scene: str) -> Settings:
     if scene == "talos":  # a free base has to be placed and read in Drake's own numbers
         return []
+    if scene in HANDS:
+        return _over("dt", [1e-3, 1e-4, 1e-5]) + _over("accuracy", [10.0**-k for k in range(2, 9)], integrator="cenic")
     if scene in CONTACT:
         pairs = [(1e-5, 1e7), (1e-6, 1e9), (1e-6, 1e11), (1e-7, 1e13), (1e-9, 1e11) if scene == "S6" else (1e-8, 1e15)]
         return [{"integrator": "runge_kutta3", "accuracy": a, "stiffness": k} for a, k in pairs]
@@ -113,7 +121,7 @@ def _drake(scene: str) -> Settings:
 
 
 def _jiminy(scene: str) -> Settings:
-    if scene == "S6":
+    if scene == "S6" or scene in HANDS:
         return []
     if scene in CONTACT:
         pairs = [(1e-6, 1e6), (1e-6, 1e8), (1e-7, 1e10), (1e-8, 1e12), (1e-8, 1e13)]
@@ -123,6 +131,6 @@ def _jiminy(scene: str) -> Settings:
 
 
 def _pybullet(scene: str) -> Settings:
-    if scene == "talos":  # its base stands at the centre of mass
+    if scene == "talos" or scene in HANDS:  # Talos: its base stands at the centre of mass
         return []
     return _over("dt", [1e-3, 1e-4] if scene not in ("S4_e1", "S4_e05", "S5") else [1e-3, 1e-4, 1e-5])
