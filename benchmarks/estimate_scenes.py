@@ -34,13 +34,18 @@ Rng = np.random.Generator
 
 @dataclass
 class Motion:
-    """A scene, its start and how long it runs [s]; known: the same motion with its exact answer."""
+    """A scene, its start and how long it runs [s].
+
+    known: the same motion with its exact answer. steady: the same scene for steps of one length, where the references
+    of its servos move, which such steps hold constant.
+    """
 
     scene: cvi.Scene
     q: np.ndarray
     v: np.ndarray
     duration: float
     known: Held | None = None
+    steady: cvi.Scene | None = None
 
 
 def of_held(held: Held) -> Motion:
@@ -263,6 +268,101 @@ def ball_into_hand(rng: Rng) -> Motion:
     return Motion(scene, q, v, rng.uniform(0.4, 0.6))
 
 
+# --- what changes in time ---------------------------------------------------------------------------------------------
+def wave(rng: Rng, size: float, rate: tuple[float, float] = (3.0, 12.0)) -> Callable[[float], tuple[float, float]]:
+    """A sine of about this size, and its rate."""
+    a, w, phase = size * rng.uniform(0.5, 1.0), rng.uniform(*rate), rng.uniform(0.0, 2.0 * math.pi)
+    return lambda t: (a * math.sin(w * t + phase), a * w * math.cos(w * t + phase))
+
+
+def follow(scene: cvi.Scene, goals: dict[str, Callable[[float], tuple[float, float]]], kp: float, kd: float) -> None:
+    """Give joints servos whose references move."""
+    for name, goal in goals.items():
+        scene.set_servo(name, kp=kp, kd=kd, target=lambda t, goal=goal: (*goal(t), 0.0))
+
+
+def pull(scene: cvi.Scene, goals: dict[str, Callable[[float], tuple[float, float]]], kp: float, kd: float) -> None:
+    """Let the forces of such servos act as forces given in Python."""
+    at_q, at_v = ([index(name).start for name in goals] for index in (scene.q_index, scene.v_index))
+    gains = np.zeros((scene.nv, scene.nv))
+    gains[at_v, at_v] = 1.0
+
+    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        wanted = np.array([goal(t) for goal in goals.values()])
+        found = np.zeros(scene.nv)
+        found[at_v] = kp * (wanted[:, 0] - q[at_q]) + kd * (wanted[:, 1] - v[at_v])
+        return found
+
+    scene.add_force(force, lambda t, q, v: (-kp * gains, -kd * gains))
+
+
+def wrench_in_time(rng: Rng) -> Motion:
+    """A box or a ball that a force pushes to and fro, and now and then lifts."""
+    scene = on_ground(rng, 0.0, (0.2, 0.6))
+    if rng.random() < 0.6:
+        scene.add_box("body", (0.5, 0.4, 0.1), mass=1.0)
+    else:
+        scene.add_sphere("body", radius=0.1, mass=1.0)
+    along, across, up = wave(rng, 8.0), wave(rng, rng.choice([0.0, 3.0])), wave(rng, rng.choice([0.0, 6.0, 15.0]))
+    scene.add_wrench("body", lambda t: (along(t)[0], across(t)[0], up(t)[0]))
+    q = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
+    normal = np.asarray(scene.collision_model.geometryObjects[0].geometry.n)
+    q[3:] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), normal).coeffs()
+    q[:3] -= scene.gaps(q).min() * normal
+    return Motion(scene, q, np.zeros(6), rng.uniform(0.5, 1.5))
+
+
+def shaken_table(rng: Rng) -> Motion:
+    """A servo shakes a plate, on which a box or a ball lies."""
+    size, mass, mu = rng.uniform(0.02, 0.1), rng.uniform(0.5, 2.0), rng.uniform(0.1, 0.6)
+    box, goals = rng.random() < 0.6, {"slide": wave(rng, size, (5.0, 12.0))}
+    scenes = []
+    for act in (follow, pull):
+        model = systems.empty_model(systems.GRAVITY)
+        slide = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+        model.appendBodyToJoint(slide, pin.Inertia(3.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        free = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+        inertia = pin.Inertia.FromBox(mass, 0.2, 0.2, 0.1) if box else pin.Inertia.FromSphere(mass, 0.1)
+        model.appendBodyToJoint(free, inertia, pin.SE3.Identity())
+        shapes: systems.Shapes = {
+            "plate": (slide, systems.place(), coal.Box(4.0, 4.0, 0.2)),
+            "body": (free, systems.place(), coal.Box(0.2, 0.2, 0.1) if box else coal.Sphere(0.1)),
+        }
+        scene = systems.built(model, shapes, [("plate", "body")], 0.0, mu)
+        act(scene, goals, 400.0, 10.0)
+        scenes.append(scene)
+    q = scenes[0].neutral()
+    q[3] = 0.15 if box else 0.2
+    return Motion(scenes[0], q, np.zeros(7), rng.uniform(0.5, 1.2), steady=scenes[1])
+
+
+def servos_move(rng: Rng) -> Motion:
+    """An arm whose servos follow references that move, through the ground and back."""
+    seed, goals = int(rng.integers(2**31)), {}
+    middle, start = rng.uniform([0.5, 0.2, 0.1], [1.0, 0.7, 0.5]), np.array([0.1, 0.2, 0.2])
+    for k in range(3):
+        moves, at = wave(rng, 0.3), float(middle[k])
+        goals[f"j{k}"] = lambda t, moves=moves, at=at: (at + moves(t)[0], moves(t)[1])
+    kp, kd = rng.uniform(30.0, 100.0), rng.uniform(1.0, 5.0)
+    scenes = [arm(np.random.default_rng(seed), 3, True) for _ in range(2)]
+    follow(scenes[0], goals, kp, kd)
+    pull(scenes[1], goals, kp, kd)
+    return Motion(scenes[0], start, np.zeros(3), rng.uniform(0.3, 0.8), steady=scenes[1])
+
+
+def robot_walks(rng: Rng) -> Motion:
+    """The quadruped on servos that move its legs to and fro."""
+    motions = [robot_stands(np.random.default_rng(5)) for _ in range(2)]
+    goals = {}
+    for name in list(motions[0].scene.model.names)[2:]:
+        at, moves = float(motions[0].q[motions[0].scene.q_index(name)][0]), wave(rng, 0.15, (6.0, 20.0))
+        goals[name] = lambda t, moves=moves, at=at: (at + moves(t)[0], moves(t)[1])
+        motions[1].scene.set_servo(name, kp=0.0, kd=0.0)
+    follow(motions[0].scene, goals, 100.0, 3.0)
+    pull(motions[1].scene, goals, 100.0, 3.0)
+    return Motion(motions[0].scene, motions[0].q, motions[0].v, 0.2, steady=motions[1].scene)
+
+
 FAMILIES: dict[str, Callable[[Rng], Motion]] = {
     "turning slip": turning_slip, "box slides": box_slides, "point on a sphere": point_on_sphere,
     "rod on its tip": rod_on_tip, "block on a belt": block_on_belt, "coin rolls": rolling_coin,
@@ -270,7 +370,8 @@ FAMILIES: dict[str, Callable[[Rng], Motion]] = {
     "ball on a box": ball_on_box, "balls collide": balls_collide, "joint friction": joint_friction,
     "servos press": servos_press, "limp arm": limp_arm, "four-bar": four_bar, "mimic hand": mimic_hand,
     "pendulum at a wall": pendulum_at_wall, "robot stands": robot_stands, "robot falls": robot_falls,
-    "ball into a hand": ball_into_hand,
+    "ball into a hand": ball_into_hand, "force in time": wrench_in_time, "shaken table": shaken_table,
+    "servos move": servos_move, "robot walks": robot_walks,
 }  # fmt: skip
 
 

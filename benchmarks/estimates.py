@@ -110,12 +110,14 @@ def watch(limit: float) -> Callable[[float, int], None]:
     return progress
 
 
-def run(motion: Motion, limit: float, **options: Any) -> tuple[cvi.Trajectory, str]:
-    """Return a run and what it warned of its accuracy."""
+def run(
+    motion: Motion, limit: float, scene: cvi.Scene | None = None, **options: Any
+) -> tuple[cvi.Trajectory, str]:  # fmt: skip
+    """Return a run and what it warned of its accuracy; scene: another one than the motion's."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         traj = cvi.simulate(
-            motion.scene, motion.q, motion.v, motion.duration, throw=False, progress=watch(limit), **options
+            scene or motion.scene, motion.q, motion.v, motion.duration, throw=False, progress=watch(limit), **options
         )
     return traj, "; ".join(str(item.message) for item in caught if issubclass(item.category, cvi.AccuracyWarning))
 
@@ -147,7 +149,9 @@ def measure(family: str, seed: int, limit: float = 60.0) -> Row:
     try:
         fine = run(motion, limit, dt="auto", tol=max(FINER * tol, LEAST))[0]
         dt = motion.duration / np.ceil(motion.duration / FIXED)
-        fixed = run(motion, limit, dt=dt, order=12, tol=1e-13, dt_contact=dt / CONTACT_PART, dense=True)[0]
+        fixed = run(motion, limit, motion.steady, dt=dt, order=12, tol=1e-13, dt_contact=dt / CONTACT_PART, dense=True)[
+            0
+        ]
         gap = distance(motion, fine, fixed, times) if fixed.status.ok else nan
         if motion.known is not None:
             gap = max(gap, off(motion.known, fine, times))
