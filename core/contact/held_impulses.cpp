@@ -12,6 +12,7 @@ constexpr double kAdmitted = 1e-9;  // of the largest impulse: by how much other
 void HeldImpulses::take(const std::vector<PersistentContact>& contacts, const PersistentRows& rows,
                         const StageConstraints& step) {
   contacts_ = &contacts;
+  rounding_ = (step.table().s + 1) * step.impulse_rounding();
   impulses_.assign(contacts.size(), Impulse());
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     Impulse& sum = impulses_[i];
@@ -62,7 +63,7 @@ void HeldImpulses::share_friction() {
 bool HeldImpulses::are_admissible() const {
   double largest = 0.0;
   for (const Impulse& impulse : impulses_) largest = std::max(largest, impulse.local.norm());
-  const double slack = kAdmitted * largest;
+  const double slack = std::max(kAdmitted * largest, rounding_);
   for (std::size_t i = 0; i < impulses_.size(); ++i) {
     const Vec3& impulse = impulses_[i].local;
     if (impulse[0] < -slack) return false;

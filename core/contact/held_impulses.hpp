@@ -34,6 +34,7 @@ class HeldImpulses {
 
   const std::vector<PersistentContact>* contacts_ = nullptr;
   std::vector<Impulse> impulses_;
+  double rounding_ = 0.0;  // of the sums of what acts at the nodes [N s]
 };
 
 }  // namespace contactvi

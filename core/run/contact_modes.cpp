@@ -10,7 +10,8 @@ namespace contactvi {
 
 namespace {
 constexpr double kStill = 1e-11;   // of the speeds: slip below it is rest
-constexpr double kClosed = 1e-10;  // of the speeds: a contact whose normal speed is larger is not held
+constexpr double kClosed = 1e-10;  // of the speeds: a contact whose normal speed is larger is not held,
+constexpr double kRise = 1e-11;    // [m] unless the force on it brings it back from there
 // Switch functions are known to rounding of 1e-12 by their finder; continuous forces to this times as much.
 constexpr double kCoarse = 1e3;
 // Of the larger one of two forces, or of the cone: a force that is extrapolated to less, or comes closer, may reach
@@ -54,9 +55,8 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
   }
   settle_joints(step_->friction_joints(), q, v);
   if (!step_->forces_at(*integrator_, q, v, t, tau, directions_, forces_)) return false;
-  // One that separates slowly is left to contact steps, which know whether it stays: here it would be pulled back.
   for (std::size_t i = 0; i < contacts.size(); ++i)
-    if (std::abs(step_->force_normal_speed(i)) > kClosed * (1.0 + v.cwiseAbs().maxCoeff())) return false;
+    if (!stays_closed(i, kClosed * (1.0 + v.cwiseAbs().maxCoeff()))) return false;
   const double begins = kBegins * forces_.largest;
   begin_joint_slips(step_->friction_joints(), step_->of_joints(forces_.a), begins);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
@@ -74,6 +74,15 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
     if (is_paradox(i)) return false;
   }
   return true;
+}
+
+// Whether contact i, which separates or closes at most slowly, is held. One that separates and is pressed together comes
+// back at once: the impulse at the start of the step takes its speed, as that of its return would. If it rises farther
+// than rows are held to it is left to contact steps, which know whether it stays.
+bool ContactModes::stays_closed(std::size_t i, double slow) const {
+  const int r = step_->row(i);
+  const double speed = step_->force_normal_speed(i), pressed = step_->force_matrix()(r, r) * forces_.f[r];
+  return std::abs(speed) <= slow || (speed > 0.0 && speed * speed <= 2.0 * kRise * pressed);
 }
 
 // Whether no force keeps a contact closed that slides along directions_: A = W_n M^-1 (W_n - mu W_t d) <= 0.

@@ -65,6 +65,7 @@ class ContactModes final : public SwitchFunctions {
  private:
   bool find_modes(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording);
   bool is_paradox(std::size_t i) const;
+  bool stays_closed(std::size_t i, double slow) const;
   Vec3 direction(double at, std::size_t i) const;
   double stick_margin(std::size_t i) const;
   bool may_end() const;

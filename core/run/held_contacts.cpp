@@ -10,8 +10,10 @@
 namespace contactvi {
 
 namespace {
-constexpr double kNearContactStep = 2.0;  // lengths of contact steps: smooth steps that fail are not halved below it
-constexpr double kLongestSpan = 64.0;     // lengths of contact steps that are made one after the other
+// Lengths of contact steps: a run that chooses its steps learns nothing from a smooth step that fails and is shorter,
+// and one is not halved any more. A contact step, of order 2, costs more digits than some halvings cost time.
+constexpr double kAsContactStep = 2.0, kShortest = 1.0 / 16;
+constexpr double kLongestSpan = 64.0;  // lengths of contact steps that are made one after the other
 // Of the energies at both ends: a step that is off by more has not resolved its motion. Methods of order 4 with steps
 // of half a radian are off by some 1e-4. And what rounding makes.
 constexpr double kResolved = 1e-3, kEnergyRounding = 1e-12;
@@ -22,7 +24,7 @@ bool Simulator::may_hold_contacts(double time) const {
   return keeps_constraints_ && time >= state_.contact_steps.time - kAtOnce * (1.0 + std::abs(time));
 }
 
-bool Simulator::is_near_contact_step(double h) const { return h <= kNearContactStep * contact_dt(); }
+bool Simulator::is_as_contact_step(double h) const { return h <= kAsContactStep * contact_dt(); }
 
 bool Simulator::leave_to_contact_steps(double time) {
   modes_.end_step();
@@ -38,7 +40,7 @@ bool Simulator::leave_to_contact_steps(double time) {
 // A smooth step of length h was not taken.
 bool Simulator::shorten_step(double h, double time) {
   if (user_function_failed(time)) return false;
-  if (modes_.active() && is_near_contact_step(h)) return leave_to_contact_steps(time);
+  if (modes_.active() && h <= kShortest * contact_dt()) return leave_to_contact_steps(time);
   modes_.end_step();
   state_.control.halve_free(h);
   return true;

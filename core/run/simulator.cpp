@@ -372,7 +372,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     integrator_.set_time(at);
   }
   // A run that chooses its steps learns from one that is too long to be solved.
-  const bool learns = last_try || (truncation_.bound > 0.0 && !is_near_contact_step(h));
+  const bool learns = last_try || (truncation_.bound > 0.0 && !is_as_contact_step(h));
   if (!solve_smooth_step(at, h, interval.tau, learns)) {
     if (truncation_.too_long || learns || scene_->tree.elements.user_failed()) return false;
     return shorten_step(h, at);

@@ -232,7 +232,7 @@ class Simulator {
   // Whether steps keep more than the constraints: persistent contacts, joint friction.
   bool has_phase() const { return keeps_joint_friction_ || !contact_step_.contacts().empty(); }
   bool may_hold_contacts(double time) const;
-  bool is_near_contact_step(double h) const;
+  bool is_as_contact_step(double h) const;
   bool leave_to_contact_steps(double time);
   bool shorten_step(double h, double time);
   bool held_step_keeps_energy();

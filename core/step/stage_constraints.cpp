@@ -350,8 +350,12 @@ void StageConstraints::scale_matrix() {
   // Least impulses of contacts that share a load are least in N s.
   const double common = rows_ > fixed_ ? own.tail(rows_ - fixed_).maxCoeff() : 0.0;
   const double noise = kRounding * (1.0 + q0_.cwiseAbs().maxCoeff()) * stages_ * stages_ / h_;
-  rounding_ = 0.0;
-  for (int c = 0; c < rows_; ++c) rounding_ += own[c] > zero ? noise * noise / own[c] : 0.0;
+  rounding_ = impulse_rounding_ = 0.0;
+  for (int c = 0; c < rows_; ++c) {
+    if (!(own[c] > zero)) continue;
+    rounding_ += noise * noise / own[c];
+    impulse_rounding_ = std::max(impulse_rounding_, noise / own[c]);
+  }
   matrix_ /= h_;
   scale_.resize(count);
   row_scale_.resize(count);

@@ -64,6 +64,8 @@ class StageConstraints : private StageNodes {
 
   // Energy of the corrections that rounding of the residuals makes [J].
   double rounding() const { return rounding_; }
+  // The impulse of a row that rounding of its residuals makes, at most [N s; N m s].
+  double impulse_rounding() const { return impulse_rounding_; }
   // Of a step that was not solved: looks which constraint its iterations were farthest from. Where even the shortest
   // step is not solved that is the reason: without constraints it is.
   void give_up();
@@ -153,7 +155,7 @@ class StageConstraints : private StageNodes {
   SlipProjection slip_projection_;
   VecX forces_, sum_, v1_, q1_, p1_;
   double work_ = 0.0, mean_work_ = 0.0, load_work_ = 0.0;
-  double rounding_ = 0.0;
+  double rounding_ = 0.0, impulse_rounding_ = 0.0;
   int violated_ = -1;
 };
 
