@@ -57,6 +57,7 @@ double Simulator::allowed_cost(double length) const {
 
 // Whether it has cost more than dense steps by far.
 bool Simulator::events_accumulate(double cost, double length) const {
+  if (!(state_.dense.located.excess + cost > 0.0)) return false;
   const double few = std::min(1.0, kFew / std::max(1.0, points_now()));
   return state_.dense.located.excess + cost > kBurst * few * few + allowed_cost(length);
 }
