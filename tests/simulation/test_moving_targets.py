@@ -159,6 +159,18 @@ def test_a_box_on_a_driven_table_sticks_and_slips(tmp_path):
     assert traj.q[-1][:2] == pytest.approx(state[:2], abs=3.0 * max(traj.error_estimate, 1e-9))
 
 
+def test_what_is_given_by_steps_has_no_place_between_them():
+    for given in (
+        {"control": np.zeros((1, 2))},
+        {"target": np.zeros((5, 2))},
+        {"control": lambda t, q, v: np.zeros(2)},
+    ):
+        for call in (cvi.simulate, cvi.simulate_batch):
+            with pytest.raises(cvi.InputError, match="constant over a step"):
+                call(arm(), duration=0.5, dt="auto", **given)
+    assert cvi.simulate(arm(), duration=0.1, target=[0.1, 0.2]).options.auto  # constant
+
+
 def test_what_a_reference_raises_comes_through():
     def broken(t: float) -> list[float]:
         return [0.1, 1.0 / max(0.0, 0.3 - t)]
