@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, called, checked
 from contactvi.errors import InputError, UserFunctionError
-from contactvi.inputs import real_numbers
+from contactvi.inputs import real_numbers, shape_of
 from contactvi.trajectory.compiled import CompiledScene
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ MOST_TARGETS = 10**8  # positions of a run: they are made before it, with their 
 
 def by_steps(target: Any) -> bool:
     """Return whether a target gives references for each step, and is no function of time."""
-    return target is not None and not isinstance(target, Mapping) and not callable(target) and np.ndim(target) > 1
+    return target is not None and not isinstance(target, Mapping) and not callable(target) and len(shape_of(target)) > 1
 
 
 class Targets:

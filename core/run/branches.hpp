@@ -39,8 +39,8 @@ class Branches final : public SwitchFunctions {
 
   int count() const override { return static_cast<int>(active_.size()); }
   void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;
-  // Goes to the branch beyond the root of a function at this time and state, with or without a motion since the last change.
-  // False: it is held, for there have been too many changes.
+  // Goes to the branch beyond the root of a function at this time and state, with or without a motion since the last
+  // change. False: it is held, for there have been too many changes.
   bool change(int function, double t, const VecX& q, const VecX& v, bool moved);
   // Of the last change: whether it is a switch, and not one that is taken back; and whether the force has a jump there.
   bool switched() const { return switched_; }

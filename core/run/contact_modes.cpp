@@ -76,9 +76,9 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
   return true;
 }
 
-// Whether contact i, which separates or closes at most slowly, is held. One that separates and is pressed together comes
-// back at once: the impulse at the start of the step takes its speed, as that of its return would. If it rises farther
-// than rows are held to it is left to contact steps, which know whether it stays.
+// Whether contact i, which separates or closes at most slowly, is held. One that separates and is pressed together
+// comes back at once: the impulse at the start of the step takes its speed, as that of its return would. If it rises
+// farther than rows are held to it is left to contact steps, which know whether it stays.
 bool ContactModes::stays_closed(std::size_t i, double slow) const {
   const int r = step_->row(i);
   const double speed = step_->force_normal_speed(i), pressed = step_->force_matrix()(r, r) * forces_.f[r];
