@@ -12,7 +12,7 @@ namespace contactvi {
 namespace {
 // Lengths of contact steps: a run that chooses its steps learns nothing from a smooth step that fails and is shorter,
 // and one is not halved any more. A contact step, of order 2, costs more digits than some halvings cost time.
-constexpr double kAsContactStep = 2.0, kShortest = 1.0 / 256;
+constexpr double kAsContactStep = 2.0, kShortest = 1.0 / 16;
 constexpr double kLongestSpan = 64.0;  // lengths of contact steps that are made one after the other
 // Of the energies at both ends: a step that is off by more has not resolved its motion. Methods of order 4 with steps
 // of half a radian are off by some 1e-4. And what rounding makes.
