@@ -61,9 +61,8 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
     else:
         check_keywords(write_html, options, "The view of a run")
         shown = View(page_data(run, **options))
-    print(
-        f"{'Live view' if isinstance(shown, LiveView) else 'Playback'} at {shown.url}", flush=True
-    )  # also into a pipe, before it is shown
+    kind = "Live view" if isinstance(shown, LiveView) else "Playback"
+    print(f"{kind} at {shown.url}", flush=True)  # at once into a pipe, too
     if opened:
         webbrowser.open(shown.url, new=2)
     return shown

@@ -53,6 +53,7 @@ void Actuation::find_velocity(const VecX& q, const VecX& p) {
 void Actuation::start() {
   state_->saturated = 0;
   state_->servo.any = false;
+  follow(nullptr);
   free_->set_servo(&state_->servo);
   contact_->set_servo(&state_->servo);
   dense_->set_servo(&state_->servo);

@@ -209,7 +209,6 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
   for (std::size_t i = 0; i < contacts.size(); ++i)
     directions_[i] = rows_.slide(i) < 0 ? Vec3(Vec3::Zero()) : direction(at, i);
   const bool found = step_->forces_at(*integrator_, q, v, t_ + at * h_, tau_, directions_, forces_);
-  integrator_->set_time(t_);
   if (!found) {
     values.setConstant(std::numeric_limits<double>::quiet_NaN());
     return;

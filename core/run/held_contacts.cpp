@@ -10,8 +10,9 @@
 namespace contactvi {
 
 namespace {
-// Lengths of contact steps: a run that chooses its steps learns nothing from a smooth step that fails and is shorter,
-// and one is not halved any more. A contact step, of order 2, costs more digits than some halvings cost time.
+// Lengths of contact steps. From a smooth step that fails and is shorter than the first number a run that chooses its
+// steps learns nothing. One that is shorter than the second number is not halved any more: a contact step, of order 2,
+// costs more digits than some halvings cost time.
 constexpr double kAsContactStep = 2.0, kShortest = 1.0 / 16;
 constexpr double kLongestSpan = 64.0;  // lengths of contact steps that are made one after the other
 // Of the energies at both ends: a step that is off by more has not resolved its motion. Methods of order 4 with steps

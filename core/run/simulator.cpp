@@ -369,7 +369,6 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     if (!integrator_.node_velocity(state_.q, state_.p, v_) ||
         !modes_.begin_step(state_.q, v_, at, interval.tau, recording))
       return leave_to_contact_steps(at);
-    integrator_.set_time(at);
   }
   // A run that chooses its steps learns from one that is too long to be solved.
   const bool learns = last_try || (truncation_.bound > 0.0 && !is_as_contact_step(h));

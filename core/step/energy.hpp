@@ -31,8 +31,8 @@ double modified_hamiltonian(StepEquations& equations, const VecCRef& q, const Ve
 // dH/dq at a constant momentum, shape (nv,), tangent vectors body-fixed on spherical joints; v: the velocity at (q, p).
 void energy_gradient(StepEquations& equations, const VecCRef& q, const VecCRef& v, VecRef gradient);
 
-// a = M^-1 (forces) at (q, v): gravity, springs, damping and the inputs tau (public coordinates, or empty), without
-// contact. The node of `equations` must be placed at q.
+// a = M^-1 (forces) at (q, v) and the time t [s]: gravity, springs, damping and the inputs tau (public coordinates, or
+// empty), without contact. The node of `equations` must be placed at q.
 void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, const VecX& tau,
                       VecRef a);
 

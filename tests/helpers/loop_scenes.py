@@ -31,6 +31,18 @@ def arm_scene(joints: int = 2, gravity: bool = True, **limits: float) -> cvi.Sce
     return cvi.Scene.from_pinocchio(model, name="arm")
 
 
+def wheel_scenes() -> tuple[cvi.Scene, cvi.Scene]:
+    """A wheel of .04 kg m^2 on a continuous joint, q = (cos, sin), and the same on a revolute one."""
+    scenes = []
+    for kind in (pin.JointModelRUBZ(), pin.JointModelRZ()):
+        model = pin.Model()
+        wheel = model.addJoint(0, kind, pin.SE3.Identity(), "wheel")
+        model.appendBodyToJoint(wheel, pin.Inertia.FromCylinder(2.0, 0.2, 0.05), pin.SE3.Identity())
+        model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
+        scenes.append(cvi.Scene.from_pinocchio(model))
+    return scenes[0], scenes[1]
+
+
 def four_bar(ground: float = 0.5, **options: float) -> cvi.Scene:
     """Three rods whose end is fixed to (ground, 0, 0): a four-bar linkage with one degree of freedom."""
     scene = arm_scene(3, **options)

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactvi as cvi
-from helpers.loop_scenes import arm_scene
+from helpers.loop_scenes import arm_scene, wheel_scenes
 
 TABLE = """<robot name="table">
 <link name="world"/><joint name="slide" type="prismatic"><parent link="world"/><child link="plate"/><axis xyz="1 0 0"/>
@@ -62,7 +62,8 @@ def test_an_arm_that_follows_meets_the_accuracy(effort, tol):
     assert traj.error_estimate <= tol
     assert np.abs(traj.q[-1] - exact).max() <= 3.0 * traj.error_estimate + 1e-11
     assert len(traj.t) < 200
-    assert np.abs(traj.ledger.energy_balance).max() < 1e-2 * tol**0.5
+    # Some 10 N m over an error of q below tol/10.
+    assert np.abs(traj.ledger.energy_balance).max() < tol
 
 
 def test_targets_of_the_scene_and_of_the_call_are_one():
@@ -96,19 +97,15 @@ def test_steps_of_one_length_converge_to_it():
 def test_a_wheel_is_led_over_many_revolutions(effort):
     """A continuous joint, q = (cos, sin), as a revolute one: the reference goes on through half revolutions."""
     ends = []
-    for kind in (pin.JointModelRUBZ(), pin.JointModelRZ()):
-        model = pin.Model()
-        wheel = model.addJoint(0, kind, pin.SE3.Identity(), "wheel")
-        model.appendBodyToJoint(wheel, pin.Inertia.FromCylinder(2.0, 0.2, 0.05), pin.SE3.Identity())
-        model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
-        scene = cvi.Scene.from_pinocchio(model)
+    for scene in wheel_scenes():
         scene.set_servo("wheel", kp=20.0, kd=0.8, effort=effort)
         motion = {"wheel": lambda t: (20.0 * t + math.sin(5.0 * t), 20.0 + 5.0 * math.cos(5.0 * t), 0.0)}
         traj = cvi.simulate(scene, v0=[25.0], duration=2.0, dt="auto", tol=1e-8, target=motion)
         assert traj.error_estimate <= 1e-8
         assert (traj.stats.switches > 0) == (effort is not None)
         ends.append(traj.q[-1])
-    assert ends[0] == pytest.approx([np.cos(ends[1][0]), np.sin(ends[1][0])], abs=1e-7)
+    # Two runs that are each off by 1e-8 at most.
+    assert ends[0] == pytest.approx([np.cos(ends[1][0]), np.sin(ends[1][0])], abs=2e-8)
 
 
 def test_a_box_on_a_driven_table_sticks_and_slips(tmp_path):

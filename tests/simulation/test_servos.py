@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from helpers.loop_scenes import arm_scene
+from helpers.loop_scenes import arm_scene, wheel_scenes
 from helpers.run_scenes import HAND_URDF
 
 
@@ -125,8 +125,6 @@ def test_feed_forward_is_on_top():
     """Gravity compensation put in as control: the servo has nothing left to do."""
     scene = servo_scene(gravity=True)
     q0 = scene.configuration({"j1": -0.4, "j2": 0.2})
-    import pinocchio as pin
-
     weight = pin.computeGeneralizedGravity(scene.model, scene.model.createData(), q0)
     traj = cvi.simulate(scene, q0, duration=0.2, dt=1e-3, control=np.tile(weight, (200, 1)))
     assert np.abs(traj.q - q0).max() < 1e-12
@@ -196,13 +194,7 @@ def test_stiff_servos_on_a_hand():
 @pytest.mark.parametrize("order", [2, 6])
 def test_a_wheel_goes_the_shorter_way(order):
     """A continuous joint, q = (cos, sin): as a revolute one with the target a turn away; a velocity alone as well."""
-    scenes = []
-    for kind in (pin.JointModelRUBZ(), pin.JointModelRZ()):
-        model = pin.Model()
-        wheel = model.addJoint(0, kind, pin.SE3.Identity(), "wheel")
-        model.appendBodyToJoint(wheel, pin.Inertia.FromCylinder(2.0, 0.2, 0.05), pin.SE3.Identity())
-        model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
-        scenes.append(cvi.Scene.from_pinocchio(model))
+    scenes = wheel_scenes()
     for scene in scenes:
         scene.set_servo("wheel", kp=20.0, kd=0.8, effort=1.5)
     wheel, hinge = (
