@@ -118,6 +118,12 @@ Result guarded(const UserFunction& function, const Result& otherwise, Call call)
   return otherwise;
 }
 
+// As guarded, at a state: where iterations diverge, so that it is not finite, the function is not asked.
+template <class Result, class Call>
+Result guarded_at(bool finite, const UserFunction& function, const Result& otherwise, Call call) {
+  return finite ? guarded(function, otherwise, call) : otherwise;
+}
+
 BodyFrame frame(const Tree& tree, int joint, const std::optional<Mat3>& R, const Vec3& p) {
   need(joint >= 0 && joint < static_cast<int>(tree.body_of_source.size()), "a frame's joint does not exist");
   const Mat3& R_BS = tree.R_body_source[joint];
@@ -207,7 +213,7 @@ void add_user_force(Scene& s, const Force& value, const std::optional<ForceDeriv
   UserForce force;
   const int nv = s.tree.nv;
   force.value = [value = keep(s, value), nv](double t, const VecX& q, const VecX& v, VecX& f) {
-    f = guarded(value, VecX(VecX::Constant(nv, kNaN)), [&] {
+    f = guarded_at(q.allFinite() && v.allFinite(), value, VecX(VecX::Constant(nv, kNaN)), [&] {
       VecX result = nb::cast<VecX>(value(t, q, v));
       if (result.size() != nv) throw Error("a user's force has the wrong size");
       return result;
@@ -217,7 +223,7 @@ void add_user_force(Scene& s, const Force& value, const std::optional<ForceDeriv
     force.derivative = [derivatives = keep(s, *derivatives), nv](double t, const VecX& q, const VecX& v, MatX& dq,
                                                                  MatX& dv) {
       const MatX nan = MatX::Constant(nv, nv, kNaN);
-      std::tie(dq, dv) = guarded(derivatives, std::make_tuple(nan, nan), [&] {
+      std::tie(dq, dv) = guarded_at(q.allFinite() && v.allFinite(), derivatives, std::make_tuple(nan, nan), [&] {
         const nb::object result = derivatives(t, q, v);
         auto both = std::make_tuple(nb::cast<MatX>(result[0]), nb::cast<MatX>(result[1]));
         for (const MatX* m : {&std::get<0>(both), &std::get<1>(both)})
@@ -233,10 +239,10 @@ void add_user_potential(Scene& s, const Potential& value, const Gradient& gradie
   UserPotential p;
   const int nv = s.tree.nv;
   p.value = [value = keep(s, value)](const VecX& q) {
-    return guarded(value, kNaN, [&] { return nb::cast<double>(value(q)); });
+    return guarded_at(q.allFinite(), value, kNaN, [&] { return nb::cast<double>(value(q)); });
   };
   p.gradient = [gradient = keep(s, gradient), nv](const VecX& q, VecX& g) {
-    g = guarded(gradient, VecX(VecX::Constant(nv, kNaN)), [&] {
+    g = guarded_at(q.allFinite(), gradient, VecX(VecX::Constant(nv, kNaN)), [&] {
       VecX result = nb::cast<VecX>(gradient(q));
       if (result.size() != nv) throw Error("a user's gradient has the wrong size");
       return result;
@@ -244,7 +250,7 @@ void add_user_potential(Scene& s, const Potential& value, const Gradient& gradie
   };
   if (hessian)
     p.hessian = [hessian = keep(s, *hessian), nv](const VecX& q, MatX& H) {
-      H = guarded(hessian, MatX(MatX::Constant(nv, nv, kNaN)), [&] {
+      H = guarded_at(q.allFinite(), hessian, MatX(MatX::Constant(nv, nv, kNaN)), [&] {
         MatX result = nb::cast<MatX>(hessian(q));
         if (result.rows() != nv || result.cols() != nv) throw Error("a user's hessian has the wrong size");
         return result;

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi import _core
 from helpers.loop_scenes import BAR, arm_scene
 
 TIMES = [0.0, 0.5, 1.0]
@@ -195,3 +196,26 @@ def test_the_report_lists_everything():
     ):
         assert words in text
     assert "joint friction of the file: not used" not in text
+
+
+def test_functions_are_not_asked_where_there_is_no_state():
+    """Diverging iterations hand on numbers that are not finite: what a function made of them was said to be wrong."""
+    scene, asked = cvi.Scene(), []
+    scene.add_sphere("ball", 0.1)
+
+    def force(t, q, v):
+        asked.append((q, v))
+        return np.zeros(6)
+
+    def value(q):
+        asked.append((q, q))
+        return 0.0
+
+    scene.add_force(force, check=False)
+    scene.add_potential(value, lambda q: 0.0 * np.asarray(q)[:6], check=False)
+    core, q = scene.core(), scene.neutral()
+    assert np.isfinite(_core.passive_forces(core, q, np.zeros(6))).all()
+    asked.clear()
+    for broken, v in ((np.full(7, np.nan), np.zeros(6)), (q, np.full(6, np.inf))):
+        assert not np.isfinite(_core.passive_forces(core, broken, v)).all()
+    assert all(np.isfinite(q).all() and np.isfinite(v).all() for q, v in asked)
