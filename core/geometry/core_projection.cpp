@@ -117,6 +117,7 @@ bool CoreProjection::on_polytope(const Vec3& x, Vec3& y, Mat3& change) {
       for (int f : shape_->vertex_faces[from.vertex]) try_face(f, x, best);
   }
   face_ = best.face;
+  place_ = {best.face, best.edge, best.vertex};
   y = best.y;
   if (best.vertex >= 0) {
     change.setZero();

@@ -21,6 +21,11 @@ class CoreProjection {
   // Whether y is the nearest point to x: of a polytope that no vertex lies beyond y in the direction of x. Where
   // triangles without an area are missing, project may have come to a stop at their border.
   bool is_nearest(const Vec3& x, const Vec3& y) const;
+  // Where the last nearest point lies on a polytope: on a vertex, else on an edge, else inside of a face.
+  struct Place {
+    int face = -1, edge = -1, vertex = -1;
+  };
+  const Place& place() const { return place_; }
 
  private:
   // The point of one face that is nearest to x: inside, on an edge, or at a vertex.
@@ -40,6 +45,7 @@ class CoreProjection {
 
   const ShapeFeatures* shape_;
   int face_ = -1;  // of the last point on a polytope
+  Place place_;
 };
 
 }  // namespace contactvi

@@ -221,15 +221,19 @@ void make_material(ContactPoint& p, const Placements& at, const Contact& contact
 }
 
 // Whether a vertex, or the lowest point of a rim, lies over the face of its feature.
-bool is_over(const Parts& parts, const ContactPoint& point, const Placements& at) {
-  if (parts.plane->is_unbounded()) return true;
+double inside(const Parts& parts, const ContactPoint& point, const Placements& at) {
+  if (parts.plane->is_unbounded()) return std::numeric_limits<double>::infinity();
   const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
   Vec3 x = point_W(at, point.point_body, point.center_B);
   if (point.kind == PointKind::kRim) {
     const Vec3 n = parts.plane_pose->R * face.normal;
     x = lowest_of_rim(x, turned_W(at, point.point_body, point.axis_B), point.rim_radius, n);
   }
-  return outside_of(*parts.plane, face, parts.plane_pose->into(x)) <= kStay * kBorder;
+  return -outside_of(*parts.plane, face, parts.plane_pose->into(x));
+}
+
+bool is_over(const Parts& parts, const ContactPoint& point, const Placements& at) {
+  return inside(parts, point, at) >= -kStay * kBorder;
 }
 
 }  // namespace
@@ -324,7 +328,8 @@ Sides Manifolds::sides_of_witness(const PairView& v, const Contact& witness) con
 }
 
 void Manifolds::find(int pair, const Placements& at, const Contact& witness, double margin,
-                     std::vector<ContactPoint>& points, std::vector<ContactPoint>* others) {
+                     std::vector<ContactPoint>& points, std::vector<ContactPoint>* others,
+                     std::vector<std::int64_t>* left) {
   if (!(witness.gap <= margin)) return;
   const PairView v = view(pair, at);
   found_.clear();
@@ -343,6 +348,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
     for (const Candidate& c : found_) least = std::min(least, c.gap);
     // The nearest features of the pair are none of the listed ones: coal's point represents them.
     if (witness.gap < least - noise(pair)) found_.insert(found_.begin(), nearest);
+    if (left != nullptr && !left->empty() && take_out(*left)) found_.push_back(nearest);
   } else {
     found_.push_back(nearest);
   }
@@ -352,6 +358,20 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
   for (int i = 0; i < static_cast<int>(found_.size()); ++i)
     if (found_[i].feature != 0 && !std::binary_search(chosen.begin(), chosen.end(), i))
       others->push_back(make_point(pair, v, found_[i], n));
+}
+
+// Takes features out of those that were found, and leaves in the list those that were. True where none is left.
+bool Manifolds::take_out(std::vector<std::int64_t>& features) {
+  const auto is_found = [this](std::int64_t f) {
+    return std::any_of(found_.begin(), found_.end(), [f](const Candidate& c) { return c.feature == f; });
+  };
+  features.erase(std::remove_if(features.begin(), features.end(), [&](std::int64_t f) { return !is_found(f); }),
+                 features.end());
+  const auto is_out = [&features](const Candidate& c) {
+    return std::find(features.begin(), features.end(), c.feature) != features.end();
+  };
+  found_.erase(std::remove_if(found_.begin(), found_.end(), is_out), found_.end());
+  return found_.empty();
 }
 
 double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
@@ -542,6 +562,13 @@ bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
     if (point.kind == PointKind::kVertex && tilt > kStay * kUpright) return false;
   }
   return is_over(parts, point, at);
+}
+
+double Manifolds::inside_face(const ContactPoint& point, const Placements& at) const {
+  if (point.feature == 0 || (point.kind != PointKind::kVertex && point.kind != PointKind::kRim))
+    return std::numeric_limits<double>::infinity();
+  const PairView v = view(point.guard, at);
+  return inside(parts_of(v, point.feature), point, at);
 }
 
 bool Manifolds::is_over_face(const ContactPoint& point, const Placements& at) const {

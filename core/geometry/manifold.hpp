@@ -77,9 +77,10 @@ class Manifolds {
   // Appends the points of the pair with gap <= margin, at most max_points of them: the deepest, then those that span
   // the largest area; points that add no area are left out. Equal input gives equal points. witness: the contact of the
   // pair that coal gives there; at least one point is found if its gap is <= margin. others: if given, the points
-  // within the margin that were not chosen are appended to it.
+  // within the margin that were not chosen are appended to it. left: if given, features that are not to be chosen;
+  // then those of them that are within the margin.
   void find(int pair, const Placements& at, const Contact& witness, double margin, std::vector<ContactPoint>&,
-            std::vector<ContactPoint>* others = nullptr);
+            std::vector<ContactPoint>* others = nullptr, std::vector<std::int64_t>* left = nullptr);
 
   // The point of a known feature (not one where a rim crosses a side), whether it touches or not.
   ContactPoint point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const;
@@ -117,6 +118,9 @@ class Manifolds {
 
   // False where another feature touches instead: a vertex slid off its face, an edge off its edge, a flat rim tilted.
   bool valid(const ContactPoint& point, const Placements& at) const;
+  // How far a vertex or the lowest point of a rim is from the border of its face [m], negative beyond it; infinite over a
+  // halfspace, and for other points.
+  double inside_face(const ContactPoint& point, const Placements& at) const;
   // Whether a vertex or the lowest point of a rim lies over the face of its feature, touching or not.
   bool is_over_face(const ContactPoint& point, const Placements& at) const;
 
@@ -141,6 +145,7 @@ class Manifolds {
   const ShapeFeatures& features(int pair, int geometry) const;
   bool is_single(int pair) const;
   class Least;
+  bool take_out(std::vector<std::int64_t>& features);
   PairView view(int pair, const Placements& at) const;
   ContactPoint make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const;
   ContactPoint frozen_on_lines(const ContactPoint& point, const Placements& at, const Contact& contact, double turn,

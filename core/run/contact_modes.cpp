@@ -17,13 +17,23 @@ constexpr double kCoarse = 1e3;
 // Of the larger one of two forces, or of the cone: a force that is extrapolated to less, or comes closer, may reach
 // zero or the cone in the step.
 constexpr double kFalling = 0.35, kInside = 0.8;
+// Of what a distance to the border of a feature changes by in a step: one that is larger at the start, the stages and
+// the end has no root in between.
+constexpr double kWithin = 0.25;
 constexpr double kBegun = 1e-9;     // of the speeds: the path of a step knows no slower slip that begins with it
 constexpr double kTogether = 1e-6;  // of the forces: contacts whose margins differ less slip together
 constexpr double kParadox = 1e-6;   // of G_nn: a sliding contact with a smaller A is left to contact steps
 }  // namespace
 
 ContactModes::ContactModes(const Scene& scene, Guards& guards, ContactStep& step, Integrator& integrator)
-    : scene_(&scene), guards_(&guards), step_(&step), integrator_(&integrator), rows_(guards, scene.tree.nv) {}
+    : scene_(&scene),
+      guards_(&guards),
+      step_(&step),
+      integrator_(&integrator),
+      rows_(guards, scene.tree.nv),
+      borders_(guards),
+      q_stage_(scene.tree.nq),
+      v_stage_(scene.tree.nv) {}
 
 bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX& tau, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
@@ -37,6 +47,10 @@ bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX
   const std::vector<FrictionJoint>& joints = step_->friction_joints();
   for (std::size_t k = 0; k < joints.size(); ++k)
     endings_.push_back({k, joints[k].sticks ? End::kJointSlips : End::kJointSticks});
+  guards_->place(q);
+  borders_.begin(contacts);
+  for (int k = 0; k < borders_.count(); ++k) endings_.push_back({static_cast<std::size_t>(k), End::kFeature});
+  depths_.resize(borders_.count());
   rows_.set(contacts, joints, 2 * integrator_->stages() + 1);
   integrator_->hold(&rows_);
   active_ = true;
@@ -93,17 +107,19 @@ bool ContactModes::is_paradox(std::size_t i) const {
   return G(r, r) - step_->contacts()[i].mu * G.row(r).segment<2>(r + 1).dot(d) <= kParadox * G(r, r);
 }
 
-bool ContactModes::fits(const VecX& q1) {
+bool ContactModes::fits(const VecX& q1, bool beyond_borders) {
   if (rows_.runs_far(integrator_->stages() + 1)) return false;
   guards_->place(q1);
   for (const PersistentContact& c : step_->contacts()) {
     if (c.point.kind == PointKind::kWitness || c.point.kind == PointKind::kLimit) continue;
-    if (!guards_->manifolds().valid(c.point, guards_->placements(c.point.guard))) return false;
+    const Placements& at = guards_->placements(c.point.guard);
+    if (guards_->manifolds().valid(c.point, at)) continue;
+    if (!beyond_borders || guards_->manifolds().inside_face(c.point, at) > 0.0) return false;
   }
   return true;
 }
 
-void ContactModes::take_step(double h, const VecX& v0, const VecX& tau) {
+void ContactModes::take_step(double h, const VecX& v0, const VecX& q1, const VecX& tau) {
   h_ = h;
   v0_ = v0;
   tau_ = tau;
@@ -117,7 +133,8 @@ void ContactModes::take_step(double h, const VecX& v0, const VecX& tau) {
       headings_[static_cast<std::size_t>(k)][i] =
           rows_.site(k, i).world(0.0, std::cos(angles(j, k)), std::sin(angles(j, k)));
     }
-  watches_ = may_end();
+  const bool crossed = borders_may_be_crossed(q1);
+  watches_ = crossed || may_end();
   const StageConstraints& rows = *integrator_->constraints();
   shares_ = rows.shares_load();
   begins_.assign(step_->contacts().size(), 0);
@@ -182,6 +199,25 @@ bool ContactModes::joints_may_end(const StageConstraints& rows) const {
   return false;
 }
 
+// By where the points are on their features at the start, the stages and the end of the step.
+bool ContactModes::borders_may_be_crossed(const VecX& q1) {
+  if (borders_.count() == 0) return false;
+  const int s = integrator_->stages();
+  for (int i = 0; i <= s; ++i) {
+    if (i < s) integrator_->stage_state(i, q_stage_, v_stage_);
+    guards_->place(i < s ? q_stage_ : q1);
+    if (i == 0) {
+      borders_.settle();
+      for (int k = 0; k < borders_.count(); ++k) depths_[k] = borders_.start_depth(k);
+      least_ = largest_ = depths_;
+    }
+    for (int k = 0; k < borders_.count(); ++k) depths_[k] = borders_.depth(k);
+    least_ = least_.cwiseMin(depths_);
+    largest_ = largest_.cwiseMax(depths_);
+  }
+  return !(least_.array() > kWithin * (largest_ - least_).array()).all();
+}
+
 // How far the friction of contact i is from its cone [N]. Where contacts share a load only that of all points of a pair
 // together is known.
 double ContactModes::stick_margin(std::size_t i) const {
@@ -213,10 +249,16 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
     values.setConstant(std::numeric_limits<double>::quiet_NaN());
     return;
   }
+  guards_->place(q);
+  for (int k = 0; k < borders_.count(); ++k) depths_[k] = borders_.depth(k);
   const MatX& G = step_->force_matrix();
   const double largest = forces_.largest, speed = 1.0 + v.cwiseAbs().maxCoeff();
   for (std::size_t k = 0; k < endings_.size(); ++k) {
     const std::size_t i = endings_[k].contact;
+    if (endings_[k].end == End::kFeature) {
+      values[static_cast<Eigen::Index>(k)] = depths_[static_cast<Eigen::Index>(i)];
+      continue;
+    }
     const bool of_joint = endings_[k].end == End::kJointSlips || endings_[k].end == End::kJointSticks;
     const int r = of_joint ? step_->joint_row(i) : step_->row(i);
     const double size = kCoarse * std::max(forces_.scale, largest / G(r, r));
@@ -248,6 +290,8 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
         value = slides(joint.heading * v[joint.dof], std::abs(v0_[joint.dof]) < kBegun);
         break;
       }
+      case End::kFeature:
+        break;
     }
   }
 }

@@ -69,8 +69,9 @@ PersistentContact ContactSet::make_persistent(const ContactPoint& point, const C
 // Whether point k of a closed guard persists. slow: speed up to which it neither closes nor separates [m/s].
 bool ContactSet::persists(const ClosedGuard& c, int k, int forced, double slow) {
   const double gamma = c.gamma_n(k, run_->p);
-  const auto separated =
-      std::find(run_->separated.begin(), run_->separated.end(), SeparatedPoint(c.guard, c.points[k].feature));
+  const auto separated = std::find_if(run_->separated.begin(), run_->separated.end(), [&](const SeparatedPoint& s) {
+    return s.guard == c.guard && s.feature == c.points[k].feature;
+  });
   if (separated != run_->separated.end()) {
     if (!c.impacted && c.guard != forced) return false;  // has just separated and has not closed again
     run_->separated.erase(separated);
@@ -215,7 +216,7 @@ void ContactSet::release_separated(int releasing, bool at_event, double time, Re
     record_change(time, point, Change::kRelease, 0.0, recording);
     contacts.erase(contacts.begin() + i);
     finder_->set_touching(guard, true);
-    run_->separated.emplace_back(guard, point.feature);
+    run_->separated.push_back({guard, point.feature});
     if (i == releasing) finder_->exempt(guard);
     dropped = true;
   }
@@ -224,12 +225,37 @@ void ContactSet::release_separated(int releasing, bool at_event, double time, Re
 
 void ContactSet::release(int i, double time, Recording& recording) {
   const ContactPoint point = step_->contacts()[i].point;
-  run_->separated.emplace_back(point.guard, point.feature);
+  run_->separated.push_back({point.guard, point.feature});
   step_->contacts().erase(step_->contacts().begin() + i);
   update_persistent_guards();
   finder_->set_touching(point.guard, true);
   if (!guards_->is_persistent(point.guard)) finder_->exempt(point.guard);
   record_change(time, point, Change::kRelease, 0.0, recording);
+}
+
+void ContactSet::leave(std::size_t i, const VecX& v, double time, Recording& recording) {
+  std::vector<PersistentContact>& contacts = step_->contacts();
+  const PersistentContact old = contacts[i];
+  const int g = old.point.guard;
+  v_ = v;
+  run_->separated.push_back({g, old.point.feature, true});
+  contacts.erase(contacts.begin() + static_cast<std::ptrdiff_t>(i));
+  record_change(time, old.point, Change::kRelease, 0.0, recording);
+  find_touching(g);
+  const double slow = kSlowSeparation * kPersists * (1.0 + v.cwiseAbs().maxCoeff());
+  MatX row(scene_->tree.nv, 3);
+  for (const ContactPoint& point : points_) {
+    if (find_contact(contacts, g, point) != nullptr) continue;
+    Contact contact = witness_;
+    if (point.kind != PointKind::kWitness) guards_->manifolds().evaluate(point, guards_->placements(), contact);
+    const Vec3 t1 = any_tangent(contact.normal);
+    guards_->rows(g, contact, t1, row);
+    if (std::abs(row.col(0).dot(v)) > slow) continue;
+    const Vec3 slip = row.col(1).dot(v) * t1 + row.col(2).dot(v) * contact.normal.cross(t1);
+    contacts.push_back(make_persistent(point, contact, old.slides() ? slip : Vec3(Vec3::Zero())));
+    record_change(time, point, Change::kBegin, 0.0, recording);
+  }
+  update_persistent_guards();
 }
 
 // Whether the points of a guard have to be found again. Against a halfspace they stay the same while they are valid.
@@ -256,36 +282,51 @@ void ContactSet::release_guard(int guard, double time, Recording& recording) {
   update_persistent_guards();
 }
 
-// Of the separated points of a guard those are forgotten that points_ no longer has; the others are taken out of it.
+// Of the separated points of a guard those are forgotten that are no longer found; the others are taken out of points_.
 void ContactSet::forget_separated(int guard) {
   std::vector<SeparatedPoint>& separated = run_->separated;
   for (std::size_t k = separated.size(); k-- > 0;) {
-    if (separated[k].first != guard) continue;
-    bool near = false;
-    for (const ContactPoint& p : points_) near |= p.feature == separated[k].second;
+    const SeparatedPoint& s = separated[k];
+    if (s.guard != guard) continue;
+    bool near = std::find(left_.begin(), left_.end(), s.feature) != left_.end();
+    for (const ContactPoint& p : points_) near |= p.feature == s.feature;
     if (!near) separated.erase(separated.begin() + static_cast<std::ptrdiff_t>(k));
   }
   points_.erase(std::remove_if(points_.begin(), points_.end(),
                                [&](const ContactPoint& p) {
-                                 return std::find(separated.begin(), separated.end(),
-                                                  SeparatedPoint(guard, p.feature)) != separated.end();
+                                 return std::any_of(separated.begin(), separated.end(), [&](const SeparatedPoint& s) {
+                                   return s.guard == guard && s.feature == p.feature;
+                                 });
                                }),
                 points_.end());
+}
+
+// Fills points_ with the points of a guard that touch and have not separated, and witness_. False: it has opened.
+bool ContactSet::find_touching(int guard) {
+  guards_->place(run_->q);
+  const double gap = guards_->evaluate_witness(guard, witness_), touch = Guards::kTouching;
+  points_.clear();
+  if (gap > std::max(touch, kOpenPair)) return false;
+  Manifolds& manifolds = guards_->manifolds();
+  const Placements& at = guards_->placements();
+  left_.clear();
+  for (const SeparatedPoint& s : run_->separated) {
+    if (s.guard != guard || !s.left) continue;
+    const bool back = manifolds.inside_face(manifolds.point(guard, at, witness_, s.feature), at) > kBorder;
+    if (!back) left_.push_back(s.feature);
+  }
+  manifolds.find(guard, at, witness_, std::max(touch, gap) + 1e-12, points_, nullptr, &left_);
+  forget_separated(guard);
+  return true;
 }
 
 // Whether the points of a guard that touch are others than its persistent contacts. A pair that has opened is entered
 // in lost_guards_.
 bool ContactSet::points_changed(int guard) {
-  guards_->place(run_->q);
-  Contact witness;
-  const double gap = guards_->evaluate_witness(guard, witness), touch = Guards::kTouching;
-  if (gap > std::max(touch, kOpenPair)) {
+  if (!find_touching(guard)) {
     lost_guards_.push_back(guard);  // its points slid over an edge in the last step
     return false;
   }
-  points_.clear();
-  guards_->manifolds().find(guard, guards_->placements(), witness, std::max(touch, gap) + 1e-12, points_);
-  forget_separated(guard);
   bool same = true;
   int persistent_count = 0;
   for (const PersistentContact& persistent : step_->contacts()) {

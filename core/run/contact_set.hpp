@@ -39,6 +39,9 @@ class ContactSet {
   bool follow(const DenseStep& step, double time, Recording& recording);
   // Releases contact `i` before a step.
   void release(int i, double time, Recording& recording);
+  // Contact i is at the border of its feature and goes beyond it, with the velocities v. The features that touch there,
+  // too, take its place.
+  void leave(std::size_t i, const VecX& v, double time, Recording& recording);
   // Tells the guards which of their points are persistent contacts, after a change of the set.
   void update_persistent_guards();
   const std::vector<int>& guards_with_contacts() const { return persistent_guards_; }
@@ -52,6 +55,7 @@ class ContactSet {
   bool points_may_change(int guard);
   bool points_changed(int guard);
   void forget_separated(int guard);
+  bool find_touching(int guard);
 
   const Scene* scene_;
   RunState* run_;
@@ -62,8 +66,10 @@ class ContactSet {
   ImpactSequence* sequence_;
   std::vector<int> persistent_guards_;  // guards with persistent contacts, as guards_ knows them
   std::vector<PersistentContact> previous_;
-  std::vector<ContactPoint> points_;
-  std::vector<int> lost_guards_;  // guards whose points are no longer closed
+  std::vector<ContactPoint> points_;  // of one guard, with the nearest points of its pair
+  Contact witness_{};
+  std::vector<std::int64_t> left_;  // features of that guard that were left and are near
+  std::vector<int> lost_guards_;    // guards whose points are no longer closed
   VecX v_, forces_;
 };
 

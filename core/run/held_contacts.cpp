@@ -82,6 +82,9 @@ void Simulator::keep_held_step(bool switches) {
     case ContactModes::End::kJointSticks:
       record.ending = HeldStepEnd::kRest;
       break;
+    case ContactModes::End::kFeature:
+      record.ended = -1;
+      break;
   }
 }
 
@@ -105,6 +108,9 @@ void Simulator::change_contact(int function, double time, const VecX& v, bool mo
       break;
     case ContactModes::End::kStick:
       modes_.come_to_rest(ending.contact, v, time, recording);
+      break;
+    case ContactModes::End::kFeature:
+      if (modes_.ends_point(ending)) contacts_.leave(modes_.point_of(ending), v, time, recording);
       break;
   }
 }

@@ -119,8 +119,8 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
     take(from.touching, itself, [&](int, int guard) { to.touching.push_back(guard); });
     take(from.exempt, itself, [&](int, int guard) { to.exempt.push_back(guard); });
     take(
-        from.separated, [](const SeparatedPoint& s) { return s.first; },
-        [&](const SeparatedPoint& s, int guard) { to.separated.emplace_back(guard, s.second); });
+        from.separated, [](const SeparatedPoint& s) { return s.guard; },
+        [&](const SeparatedPoint& s, int guard) { to.separated.push_back({guard, s.feature, s.left}); });
     take(
         from.flights, [](const Flights::Entry& f) { return f.first; },
         [&](const Flights::Entry& f, int guard) { to.flights.emplace_back(guard, f.second); });
@@ -199,7 +199,7 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose, std::vec
   for (int g : from.touching) home(g).touching.push_back(numbers_->guards[g]);
   for (int g : from.exempt) home(g).exempt.push_back(numbers_->guards[g]);
   for (const SeparatedPoint& s : from.separated)
-    home(s.first).separated.emplace_back(numbers_->guards[s.first], s.second);
+    home(s.guard).separated.push_back({numbers_->guards[s.guard], s.feature, s.left});
   for (const Flights::Entry& f : from.flights) home(f.first).flights.emplace_back(numbers_->guards[f.first], f.second);
   for (std::size_t k = 0; k < from.joint_friction.size(); ++k) friction[numbers_->friction[k]] = from.joint_friction[k];
 }

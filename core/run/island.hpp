@@ -153,7 +153,7 @@ void Island::each_bond(Join join) const {
   for (int guard : engine_->dense_step().memory().closed) bind(guard);
   for (int g = 0; g < static_cast<int>(guard_trees_.size()); ++g)
     if (engine_->touches(g)) bind(g);
-  for (const SeparatedPoint& point : std::as_const(*engine_).state().separated) bind(point.first);
+  for (const SeparatedPoint& point : std::as_const(*engine_).state().separated) bind(point.guard);
 }
 
 }  // namespace contactvi

@@ -21,8 +21,13 @@
 
 namespace contactvi {
 
-// A point that has separated and whose gap is still closed: guard and feature.
-using SeparatedPoint = std::pair<int, std::int64_t>;
+// A point that is no contact although its gap is closed.
+struct SeparatedPoint {
+  int guard;
+  std::int64_t feature;
+  bool left =
+      false;  // it went beyond the border of its feature, and other points took its place; else it has separated
+};
 
 // A span in which persistent contacts are left to contact steps of order 2, for smooth steps failed to hold them.
 struct ContactStepsUntil {

@@ -109,6 +109,12 @@ void fields(Archive& a, ContactStepsUntil& x) {
 }
 
 template <class Archive>
+void fields(Archive& a, SeparatedPoint& x) {
+  auto& [guard, feature, left] = x;
+  values(a, guard, feature, left);
+}
+
+template <class Archive>
 void fields(Archive& a, RunState& x) {
   auto& [start_time, time, step, q, p, status, control, adaptive_dt, reference, flights, largest_speed, separated,
          initial_changes, actuators, switches, watch, work, dense, impacts, rejected, dense_steps, contact_seconds,

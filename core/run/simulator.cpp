@@ -381,14 +381,14 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     return shorten_step(h, at);
   };
   if (holds && modes_.is_undetermined()) return leave_to_contact_steps(at);
-  if (holds && (!modes_.fits(q1_) || !held_step_keeps_energy())) return reject();
+  if (holds && (!modes_.fits(q1_, true) || !held_step_keeps_energy())) return reject();
   // Adaptive steps are as short as their stages need; an implicit map has its own energy, and an impulse for the whole
   // step.
   if (truncation_.bound == 0.0 && !last_try && !law_->implicit() &&
       long_steps_.may_be_long(integrator_.stage_velocities(), integrator_.padded_stages(), h) &&
       long_steps_.is_long(integrator_, h) && !energy_is_kept())
     return reject();
-  if (holds) modes_.take_step(h, v_, interval.tau);
+  if (holds) modes_.take_step(h, v_, q1_, interval.tau);
   bool switches = false;  // the step is to end where a branch does
   if (branches_.count() > 0) branches_.take_step(at, h);
   if (branches_.count() > 0 || modes_.count() > 0) {
@@ -405,6 +405,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
       if (last_try) return end_failed_switch(found, at);
       return reject();
     }
+    if (holds && !modes_.fits(q1_, false)) return reject();
   }
   const bool shorter = halves || switches;
   if (holds)

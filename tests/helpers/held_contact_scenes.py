@@ -199,6 +199,18 @@ def point_on_sphere(friction: float, speed: float, duration: float) -> Held:
     return _switched(scene, q, v, duration, states, lambda q, v: np.concatenate([q, v], axis=1), (0, 1, 2))
 
 
+def _observe_in_plane(q: Array, v: Array) -> Array:
+    """Centre, velocity, spin and angle of a ball that moves in the plane y = 0."""
+    velocity = np.einsum("nij,nj->ni", _turns(q), v[:, :3])
+    angle = 2.0 * np.arctan2(q[:, 4], q[:, 6])
+    return np.stack([q[:, 0], q[:, 2], velocity[:, 0], velocity[:, 2], v[:, 4], np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _in_plane(found: tuple[Array, list[Change]]) -> tuple[Array, list[Change]]:
+    rows, changes = found
+    return np.column_stack([rows[:, :5], np.cos(rows[:, 5]), np.sin(rows[:, 5])]), changes
+
+
 def ball_off_sphere() -> Held:
     """A ball that rolls down a fixed sphere, slides and flies."""
     distance, theta, friction = 0.6, 0.3, 0.3
@@ -207,20 +219,40 @@ def ball_off_sphere() -> Held:
     scene.add_sphere("ball", radius=RADIUS)
     scene.set_contact(restitution=0.0, friction=friction)
     ball = oracle.BallOffSphere(RADIUS, distance, friction)
-
-    def observe(q: Array, v: Array) -> Array:
-        velocity = np.einsum("nij,nj->ni", _turns(q), v[:, :3])
-        angle = 2.0 * np.arctan2(q[:, 4], q[:, 6])
-        return np.stack(
-            [q[:, 0], q[:, 2], velocity[:, 0], velocity[:, 2], v[:, 4], np.cos(angle), np.sin(angle)], axis=1
-        )
-
-    def states(times: Array) -> tuple[Array, list[Change]]:
-        rows, changes = ball.states(theta, 0.0, times)
-        return np.column_stack([rows[:, :5], np.cos(rows[:, 5]), np.sin(rows[:, 5])]), changes
-
     q = pose(distance * np.array([math.sin(theta), 0.0, math.cos(theta)]))
-    return _switched(scene, q, np.zeros(6), 0.8, states, observe, (0, 1, 5, 6))
+    return _switched(
+        scene, q, np.zeros(6), 0.8, lambda times: _in_plane(ball.states(theta, 0.0, times)), _observe_in_plane,
+        (0, 1, 5, 6),
+    )  # fmt: skip
+
+
+# What a ball may roll over, by name: adds it to a scene, so that its edge is at x = 0. The radius of that is given.
+ALONG_X = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+EDGES: dict[str, tuple[float, Callable[[cvi.Scene], object]]] = {
+    "box": (0.0, lambda scene: scene.add_box("table", (2.0, 1.0, 0.4), free=False, placement=place(-1.0, 0.0, -0.2))),
+    "end of a cylinder": (0.0, lambda scene: scene.add_cylinder(
+        "table", 1.0, 0.4, free=False, placement=place(-1.0, 0.0, -0.2))),
+    "side of a cylinder": (0.0, lambda scene: scene.add_cylinder(
+        "table", 0.3, 2.0, free=False, placement=pin.SE3(ALONG_X, np.array([-1.0, 0.0, -0.3])))),
+    "capsule": (0.3, lambda scene: scene.add_capsule(
+        "table", 0.3, 2.0, free=False, placement=pin.SE3(ALONG_X, np.array([-1.0, 0.0, 0.0])))),
+}  # fmt: skip
+
+
+def ball_over_edge(kind: str) -> Held:
+    """A ball that rolls along a level line and over the edge or the end of a shape, slides and flies."""
+    speed, start, friction = 0.3, -0.12, 2.0
+    edge, add = EDGES[kind]
+    scene = cvi.Scene()
+    add(scene)
+    scene.add_sphere("ball", radius=RADIUS)
+    scene.set_contact(restitution=0.0, friction=friction)
+    ball = oracle.BallOffSphere(RADIUS, RADIUS + edge, friction)
+    v = np.array([speed, 0.0, 0.0, 0.0, speed / RADIUS, 0.0])
+    return _switched(
+        scene, pose(np.array([start, 0.0, RADIUS + edge])), v, 0.8 + edge,
+        lambda times: _in_plane(oracle.ball_over_edge(ball, speed, start, times)), _observe_in_plane, (0, 1, 5, 6),
+    )  # fmt: skip
 
 
 def rod_on_tip(friction: float, speed: float, duration: float) -> Held:

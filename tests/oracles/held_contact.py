@@ -206,6 +206,8 @@ class BallOffSphere:
         return float(GRAVITY * math.cos(y[0]) - self.length * y[1] ** 2)
 
     def rate(self, mode: str, _t: float, y: Array) -> Array:
+        if mode == "flies":
+            return np.zeros(4)
         pull = GRAVITY * math.sin(y[0])
         force = 2.0 / 7.0 * pull if mode == "rolls" else self.friction * self.load(y)
         return np.array([y[1], (pull - force) / self.length, 2.5 * force / self.radius, y[2]])
@@ -237,6 +239,20 @@ class BallOffSphere:
         return np.array(
             [self._row(rows[k]) if t < leaves else self._row(last, t - leaves) for k, t in enumerate(times)]
         ), changes
+
+
+def ball_over_edge(ball: BallOffSphere, speed: float, start: float, times: Array) -> tuple[Array, list[Change]]:
+    """Return rows of a ball that rolls along a level line, from x = start < 0, and at x = 0 over a round edge.
+
+    The radius of the edge is ball.length - ball.radius, 0 where it is sharp; its centre is the origin of the rows, as
+    in BallOffSphere. While the ball rolls along the line nothing acts on it.
+    """
+    edge, spin = -start / speed, speed / ball.radius
+    after = np.append(edge, times[times > edge]) - edge
+    rows, changes = ball.states(0.0, speed / ball.length, after)
+    level = [[start + speed * t, ball.length, speed, 0.0, spin, spin * t] for t in times[times <= edge]]
+    rows[:, 5] += spin * edge
+    return np.array([*level, *rows[1:]]), [Change(change.t + edge, change.mode) for change in changes]
 
 
 # --- a rod with friction at its tip -----------------------------------------------------------------------------------
