@@ -118,8 +118,8 @@ class Manifolds {
 
   // False where another feature touches instead: a vertex slid off its face, an edge off its edge, a flat rim tilted.
   bool valid(const ContactPoint& point, const Placements& at) const;
-  // How far a vertex or the lowest point of a rim is from the border of its face [m], negative beyond it; infinite over a
-  // halfspace, and for other points.
+  // How far a vertex or the lowest point of a rim is from the border of its face [m], negative beyond it; infinite
+  // over a halfspace, and for other points.
   double inside_face(const ContactPoint& point, const Placements& at) const;
   // Whether a vertex or the lowest point of a rim lies over the face of its feature, touching or not.
   bool is_over_face(const ContactPoint& point, const Placements& at) const;

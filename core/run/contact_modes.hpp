@@ -2,8 +2,9 @@
 //
 // In a smooth step the contacts are rows that hold from its start to its end (contact/persistent_rows.hpp). A phase
 // ends where the continuous force of a contact comes to zero, where it leaves its friction cone, or where a slip comes
-// to rest. So does the part of it in which the nearest points lie on the same features. Continuous forces are those of accelerations (ContactStep::forces_at), which are exact at any state:
-// impulses of a step tell forces to order s only, and where contacts share a load not at all.
+// to rest. So does the part of it in which points touch at the same features. Continuous forces are those of
+// accelerations (ContactStep::forces_at), which are exact at any state: impulses of a step tell forces to order s only,
+// and where contacts share a load not at all.
 #pragma once
 
 #include <vector>

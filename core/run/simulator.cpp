@@ -310,7 +310,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   law_->start_step(free_state(start), state_.reference);
   if (!branches_.none()) branches_.begin_interval();
   while (interval.remaining > 0.0) {
-    interval.checked = false;
+    interval.checked = interval.quiet = false;
     if (parts++ > 0) {
       if (!report_progress(start + interval.done)) return false;
       if (!interval.keeps_branches) actuation_.limit(start + interval.done, state_.q, state_.p);
@@ -329,8 +329,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     modes_.end_step();
     if (!branches_.none()) branches_.end_step();
     count_saturated();
-    // What is held by constraints or joint friction alone has no other steps.
-    if (!contact_step_.contacts().empty() || sequence_.count() > 0) spent += located_cost() - cost;
+    // What is held by constraints or joint friction alone has no other steps, and a smooth step locates only events.
+    if (!interval.quiet && (!contact_step_.contacts().empty() || sequence_.count() > 0)) spent += located_cost() - cost;
     if (truncation_.after_impact > 1 && state_.impacts > before)
       state_.control.free.longest =
           std::min(state_.control.free.longest, interval.remaining / truncation_.after_impact);
@@ -454,6 +454,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     if (guard >= 0) record_overlap(guard, gap, at + h, recording);
   }
   interval.checked = true;
+  interval.quiet = !switches;
   interval.done += h;
   interval.remaining = shorter ? interval.length - interval.done : 0.0;
   interval.keeps_branches = false;

@@ -199,16 +199,23 @@ def point_on_sphere(friction: float, speed: float, duration: float) -> Held:
     return _switched(scene, q, v, duration, states, lambda q, v: np.concatenate([q, v], axis=1), (0, 1, 2))
 
 
-def _observe_in_plane(q: Array, v: Array) -> Array:
-    """Centre, velocity, spin and angle of a ball that moves in the plane y = 0."""
-    velocity = np.einsum("nij,nj->ni", _turns(q), v[:, :3])
-    angle = 2.0 * np.arctan2(q[:, 4], q[:, 6])
-    return np.stack([q[:, 0], q[:, 2], velocity[:, 0], velocity[:, 2], v[:, 4], np.cos(angle), np.sin(angle)], axis=1)
-
-
 def _in_plane(found: tuple[Array, list[Change]]) -> tuple[Array, list[Change]]:
     rows, changes = found
     return np.column_stack([rows[:, :5], np.cos(rows[:, 5]), np.sin(rows[:, 5])]), changes
+
+
+def _observe_in_plane(start: Array) -> Observe:
+    """Centre, velocity, spin and angle of a body that moves in the plane y = 0 from this orientation."""
+
+    def observe(q: Array, v: Array) -> Array:
+        turns = _turns(q)
+        velocity, spin = (np.einsum("nij,nj->ni", turns, v[:, k : k + 3]) for k in (0, 3))
+        turned = turns @ start.T
+        return np.stack(
+            [q[:, 0], q[:, 2], velocity[:, 0], velocity[:, 2], spin[:, 1], turned[:, 0, 0], turned[:, 0, 2]], axis=1
+        )
+
+    return observe
 
 
 def ball_off_sphere() -> Held:
@@ -221,13 +228,14 @@ def ball_off_sphere() -> Held:
     ball = oracle.BallOffSphere(RADIUS, distance, friction)
     q = pose(distance * np.array([math.sin(theta), 0.0, math.cos(theta)]))
     return _switched(
-        scene, q, np.zeros(6), 0.8, lambda times: _in_plane(ball.states(theta, 0.0, times)), _observe_in_plane,
-        (0, 1, 5, 6),
+        scene, q, np.zeros(6), 0.8, lambda times: _in_plane(ball.states(theta, 0.0, times)),
+        _observe_in_plane(np.eye(3)), (0, 1, 5, 6),
     )  # fmt: skip
 
 
-# What a ball may roll over, by name: adds it to a scene, so that its edge is at x = 0. The radius of that is given.
+# What a body may roll over, by name: adds it to a scene, so that its edge is at x = 0. The radius of that is given.
 ALONG_X = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+ALONG_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 EDGES: dict[str, tuple[float, Callable[[cvi.Scene], object]]] = {
     "box": (0.0, lambda scene: scene.add_box("table", (2.0, 1.0, 0.4), free=False, placement=place(-1.0, 0.0, -0.2))),
     "end of a cylinder": (0.0, lambda scene: scene.add_cylinder(
@@ -237,21 +245,33 @@ EDGES: dict[str, tuple[float, Callable[[cvi.Scene], object]]] = {
     "capsule": (0.3, lambda scene: scene.add_capsule(
         "table", 0.3, 2.0, free=False, placement=pin.SE3(ALONG_X, np.array([-1.0, 0.0, 0.0])))),
 }  # fmt: skip
+# What rolls, by name: adds it to a scene. Its moment of inertia over m r^2 is given; a solid capsule is a cylinder of
+# twice its length over its radius and two halves of a ball, which has 4/3 of that unit of mass. A cylinder is left out:
+# against a box both are rounded.
+LENGTH = 0.4  # of a capsule that lies [m]
+ROLLERS: dict[str, tuple[float, Callable[[cvi.Scene], object]]] = {
+    "ball": (0.4, lambda scene: scene.add_sphere("body", RADIUS)),
+    "capsule": ((0.5 * LENGTH / RADIUS + 0.4 * 4.0 / 3.0) / (LENGTH / RADIUS + 4.0 / 3.0),
+                lambda scene: scene.add_capsule("body", RADIUS, LENGTH)),
+}  # fmt: skip
 
 
-def ball_over_edge(kind: str) -> Held:
-    """A ball that rolls along a level line and over the edge or the end of a shape, slides and flies."""
+def over_edge(roller: str, kind: str, flies: bool = False) -> Held:
+    """A body that rolls along a level line and over the edge or the end of a shape; later it slides, and flies."""
     speed, start, friction = 0.3, -0.12, 2.0
     edge, add = EDGES[kind]
+    inertia, add_roller = ROLLERS[roller]
     scene = cvi.Scene()
     add(scene)
-    scene.add_sphere("ball", radius=RADIUS)
+    add_roller(scene)
     scene.set_contact(restitution=0.0, friction=friction)
-    ball = oracle.BallOffSphere(RADIUS, RADIUS + edge, friction)
-    v = np.array([speed, 0.0, 0.0, 0.0, speed / RADIUS, 0.0])
+    body = oracle.BallOffSphere(RADIUS, RADIUS + edge, friction, inertia)
+    axes = np.eye(3) if roller == "ball" else ALONG_Y
+    v = np.concatenate([axes.T @ [speed, 0.0, 0.0], axes.T @ [0.0, speed / RADIUS, 0.0]])
     return _switched(
-        scene, pose(np.array([start, 0.0, RADIUS + edge])), v, 0.8 + edge,
-        lambda times: _in_plane(oracle.ball_over_edge(ball, speed, start, times)), _observe_in_plane, (0, 1, 5, 6),
+        scene, pose(np.array([start, 0.0, RADIUS + edge]), axes), v, (0.8 if flies else 0.56) + edge,
+        lambda times: _in_plane(oracle.ball_over_edge(body, speed, start, times)), _observe_in_plane(axes),
+        (0, 1, 5, 6),
     )  # fmt: skip
 
 

@@ -190,9 +190,9 @@ class BallOffSphere:
     """A ball that rolls down a fixed sphere in a plane, then slides, then flies.
 
     theta: angle of the centre from the top, at the distance `length` (both radii); spin: about the axis in whose sense
-    it rolls down. Rolling: theta'' = 5/7 g sin(theta)/length, which needs the friction 2/7 m g sin(theta). Sliding with
-    the slip u = length theta' - r spin > 0: length theta'' = g sin(theta) - mu N/m, spin' = 5/2 mu (N/m)/r, where
-    N/m = g cos(theta) - length theta'^2.
+    it rolls down; k: moment of inertia over m r^2. Rolling: (1 + k) theta'' = g sin(theta)/length, which needs the
+    friction k/(1 + k) m g sin(theta). Sliding with the slip u = length theta' - r spin > 0: length theta'' = g
+    sin(theta) - mu N/m, spin' = mu (N/m)/(k r), where N/m = g cos(theta) - length theta'^2.
 
     The integrated state is (theta, theta', spin, angle turned) on the sphere, and in flight (x, z, vx, vz, spin, angle)
     follows from it in closed form. A row holds the latter, (6,).
@@ -201,6 +201,12 @@ class BallOffSphere:
     radius: float
     length: float
     friction: float
+    inertia: float = 0.4
+
+    @property
+    def share(self) -> float:
+        """Of the pull along the sphere, what friction takes while it rolls."""
+        return self.inertia / (1.0 + self.inertia)
 
     def load(self, y: Array) -> float:
         return float(GRAVITY * math.cos(y[0]) - self.length * y[1] ** 2)
@@ -209,12 +215,12 @@ class BallOffSphere:
         if mode == "flies":
             return np.zeros(4)
         pull = GRAVITY * math.sin(y[0])
-        force = 2.0 / 7.0 * pull if mode == "rolls" else self.friction * self.load(y)
-        return np.array([y[1], (pull - force) / self.length, 2.5 * force / self.radius, y[2]])
+        force = self.share * pull if mode == "rolls" else self.friction * self.load(y)
+        return np.array([y[1], (pull - force) / self.length, force / (self.inertia * self.radius), y[2]])
 
     def guards(self, mode: str) -> list[Guard]:
         if mode == "rolls":
-            return [lambda _t, y: self.friction * self.load(y) - 2.0 / 7.0 * GRAVITY * math.sin(y[0])]
+            return [lambda _t, y: self.friction * self.load(y) - self.share * GRAVITY * math.sin(y[0])]
         return [lambda _t, y: self.load(y)] if mode == "slides" else []
 
     def after(self, mode: str, _guard: int, _t: float, _y: Array) -> str:

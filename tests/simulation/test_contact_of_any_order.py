@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import pytest
@@ -33,7 +34,9 @@ MOTIONS: dict[str, Callable[[], Held]] = {
     "point leaves a sphere": lambda: scenes.point_on_sphere(0.0, 0.0, 0.8),
     "point slides off a sphere": lambda: scenes.point_on_sphere(0.2, 1.2, 0.8),
     "ball rolls off a sphere": scenes.ball_off_sphere,
-    **{f"ball rolls over: {kind}": lambda kind=kind: scenes.ball_over_edge(kind) for kind in scenes.EDGES},
+    **{f"ball rolls over: {kind}": partial(scenes.over_edge, "ball", kind) for kind in scenes.EDGES},
+    "capsule rolls over: box": partial(scenes.over_edge, "capsule", "box"),
+    "capsule rolls over: capsule": partial(scenes.over_edge, "capsule", "capsule"),
     "rod slides": lambda: scenes.rod_on_tip(0.3, 1.5, 0.3),
     "rod turns back": lambda: scenes.rod_on_tip(0.3, 0.4, 0.36),
     "rod sticks": lambda: scenes.rod_on_tip(0.5, 0.3, 0.36),
@@ -58,6 +61,8 @@ STEPS: dict[str, tuple[Sequence[int], Sequence[int], Sequence[int]]] = {
     "point slides off a sphere": ((10, 20, 80), (5, 10, 20), (2, 3, 5)),
     "ball rolls off a sphere": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
     **{f"ball rolls over: {kind}": ((20, 40, 160), (10, 20, 40), (4, 6, 10)) for kind in scenes.EDGES},
+    "capsule rolls over: capsule": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
+    "capsule rolls over: box": ((20, 40, 160), (10, 20, 40), (4, 6, 10)),
     "rod slides": ((10, 20, 40), (2, 4, 8), (1, 2, 3)),
     "rod turns back": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
     "rod sticks": ((10, 20, 80), (3, 6, 12), (1, 2, 3)),
@@ -80,6 +85,12 @@ ORDER_2 = (50, 200, 800)
 SLACK_2 = 0.5
 SINGULAR = 1.7  # of a TurningSlip whose acceleration has a root of the time left in it
 ROUNDING = 1e-11
+# Of which only the answers of "auto" are looked at.
+AUTO: dict[str, Callable[[], Held]] = {
+    "slip turns and ends with a root": lambda: scenes.turning_slip(SINGULAR, 1.4),
+    **{f"ball rolls over, and flies: {kind}": partial(scenes.over_edge, "ball", kind, True) for kind in scenes.EDGES},
+    "capsule rolls over, and flies: capsule": partial(scenes.over_edge, "capsule", "capsule", True),
+}
 
 
 def observed_order(errors: Sequence[float], counts: Sequence[int]) -> float:
@@ -179,9 +190,9 @@ def test_a_box_at_rest_stays(order):
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8])
-@pytest.mark.parametrize("name", [*MOTIONS, "slip turns and ends with a root"])
+@pytest.mark.parametrize("name", [*MOTIONS, *AUTO])
 def test_auto_meets_the_accuracy(name, tol):
-    held = MOTIONS[name]() if name in MOTIONS else scenes.turning_slip(SINGULAR, 1.4)
+    held = {**MOTIONS, **AUTO}[name]()
     traj = held.run_auto(tol)
     exact = held.exact(traj.t)
     error = np.abs(held.observe(traj.q, traj.v) - exact)[:, held.places].max()
