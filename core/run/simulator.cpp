@@ -14,6 +14,8 @@ namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
 constexpr long kReported = 64;        // steps between two reports of progress
+constexpr double kRounding =
+    1e-13;  // of an interval: what is left of it after a smooth step, and is no step of its own
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
@@ -456,7 +458,8 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   interval.checked = true;
   interval.quiet = !switches;
   interval.done += h;
-  interval.remaining = shorter ? interval.length - interval.done : 0.0;
+  const double rest = shorter ? interval.length - interval.done : 0.0;
+  interval.remaining = rest > kRounding * interval.length ? rest : 0.0;
   interval.keeps_branches = false;
   // Changes of contact may follow each other for ever where rounding decides about them.
   const bool moved = !holds || h > StepControl::kShortest * options_.dt;
