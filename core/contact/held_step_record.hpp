@@ -10,8 +10,8 @@
 namespace contactvi {
 
 // What ended a held step: the length it was given, or an impact; a slip that comes to rest; a contact that is released;
-// a slip that begins.
-enum class HeldStepEnd { kGiven, kRest, kRelease, kSlip };
+// a slip that begins; a contact that comes to another feature. The numbers are those of stored runs.
+enum class HeldStepEnd { kGiven = 0, kRest = 1, kRelease = 2, kSlip = 3, kBorder = 4 };
 
 struct HeldStepRecord {
   double t, h;  // start and length [s]

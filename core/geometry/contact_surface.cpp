@@ -243,4 +243,39 @@ const char* ContactSurface::find(const ShapeFeatures& features, const Pose& pose
                                : find_on_cylinder(features, pose, x_B, m, nearby, found);
 }
 
+ContactSurface ContactSurface::of(const ShapeFeatures& o, const Pose& pose, int number, const Vec3& x,
+                                  const Vec3& outward) {
+  ContactSurface found;
+  const Vec3 x_B = pose.into(x);
+  const auto on = [&](const ShapeFeatures::Edge& e) {
+    return pose.point(e.start + (x_B - e.start).dot(e.direction) * e.direction);
+  };
+  if (!o.rims.empty()) {
+    const ShapeFeatures::Edge& axis = o.edges[0];
+    const ShapeFeatures::Rim& rim = o.rims[number == 1 || number == 3 ? 0 : 1];
+    if (number == 0) {
+      found = line("side of a cylinder", on(axis), pose.R * axis.direction, axis.radius + o.radius);
+    } else if (number <= 2) {
+      found = plane("end of a cylinder", pose.point(x_B + (rim.center - x_B).dot(rim.axis) * rim.axis),
+                    pose.R * rim.axis, o.radius);
+    } else {
+      found = ContactSurface::rim(pose.point(rim.center), pose.R * rim.axis, rim.radius, outward, o.radius);
+    }
+  } else {
+    const int first_edge = static_cast<int>(o.vertices.size()),
+              first_face = first_edge + static_cast<int>(o.edges.size());
+    if (number < first_edge) {
+      found = point("vertex", pose.point(o.vertices[static_cast<std::size_t>(number)]), o.radius);
+    } else if (number < first_face) {
+      const ShapeFeatures::Edge& e = o.edges[static_cast<std::size_t>(number - first_edge)];
+      found = line("edge", on(e), pose.R * e.direction, o.radius);
+    } else {
+      const ShapeFeatures::Face& f = o.faces[static_cast<std::size_t>(number - first_face)];
+      found = plane("face", pose.point(x_B - (f.normal.dot(x_B) - f.offset) * f.normal), pose.R * f.normal, o.radius);
+    }
+  }
+  found.number_ = number;
+  return found;
+}
+
 }  // namespace contactvi

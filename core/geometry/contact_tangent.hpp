@@ -13,6 +13,7 @@
 #pragma once
 
 #include <Eigen/LU>
+#include <array>
 #include <string>
 
 #include "geometry/contact_surface.hpp"
@@ -29,6 +30,9 @@ class ContactTangent {
   // or a joint limit. False where the nearest points are not unique, or lie where features meet; why() says it.
   bool take(const VecCRef& q, int guard, const Contact& contact, const ContactPoint* point);
   const char* why() const { return why_.c_str(); }
+  // On which features of a and of b the nearest points of a pair lie where they are between two, by
+  // ContactSurface::number(); -1: that is not known, and the contact is not taken.
+  void prefer(const std::array<int, 2>& features) { preferred_ = features; }
   // The contact that was taken. Where coal's nearest points are iterated, they are here those of their features.
   const Contact& contact() const { return contact_; }
   // The features of a (0) and of b (1) at the nearest points; none of a joint limit.
@@ -61,6 +65,7 @@ class ContactTangent {
   const Scene* scene_;
   BodyTwists twists_;
   std::string why_;
+  std::array<int, 2> preferred_{-1, -1};
   Contact contact_{};
   bool is_limit_ = false;
   ContactSurface surface_[2];  // of a and of b

@@ -83,7 +83,8 @@ void Simulator::keep_held_step(bool switches) {
       record.ending = HeldStepEnd::kRest;
       break;
     case ContactModes::End::kFeature:
-      record.ended = -1;
+      record.ending = HeldStepEnd::kBorder;
+      record.ended = static_cast<int>(modes_.point_of(ending));
       break;
   }
 }

@@ -420,7 +420,8 @@ bool end_fits(const HeldStepRecord& s) {
   }
   const PersistentContact& c = s.contacts[number];
   if (s.ending == HeldStepEnd::kRest) return c.slides();
-  return s.ending == HeldStepEnd::kRelease || (s.ending == HeldStepEnd::kSlip && c.mu > 0.0 && c.sticks);
+  return s.ending == HeldStepEnd::kRelease || s.ending == HeldStepEnd::kBorder ||
+         (s.ending == HeldStepEnd::kSlip && c.mu > 0.0 && c.sticks);
 }
 
 bool belongs(const Scene& scene, const HeldStepRecord& s) {

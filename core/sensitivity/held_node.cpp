@@ -69,6 +69,7 @@ bool HeldNode::take_contacts(const std::vector<PersistentContact>& contacts, con
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const PersistentRows::Site& site = phase.site(number, i);
     const ContactPoint& point = contacts[i].point;
+    contacts_[i].prefer(i < preferred_.size() ? preferred_[i] : std::array<int, 2>{-1, -1});
     if (!contacts_[i].take(q_, point.guard, site.contact, &point)) {
       why_ = contacts_[i].why();
       refused_ = point.guard;

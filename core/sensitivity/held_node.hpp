@@ -7,6 +7,9 @@
 // turn of it by -mu times the impulse, across the slip.
 #pragma once
 
+#include <array>
+#include <vector>
+
 #include "contact/held_step_record.hpp"
 #include "contact/persistent_rows.hpp"
 #include "geometry/contact_tangent.hpp"
@@ -29,6 +32,8 @@ class HeldNode {
   bool take(const VecX& q, double t, const VecX& X, const VecX& lambda, const VecX& angles, const VecX& load,
             const HeldStepRecord& step, PersistentRows& phase, int number);
   const char* why() const { return why_; }
+  // Of each contact: see ContactTangent.
+  void prefer(const std::vector<std::array<int, 2>>& features) { preferred_ = features; }
   int refused() const { return refused_; }  // guard of that contact
   int rows() const { return static_cast<int>(gradients_.cols()); }
   const VecX& configuration() const { return q_; }
@@ -81,6 +86,7 @@ class HeldNode {
   VecX weights_;  // of the force
   MatX gradients_, watched_, along_, given_, by_friction_, displacements_, bend_;
   const char* why_ = "";
+  std::vector<std::array<int, 2>> preferred_;
   int refused_ = -1;
 };
 

@@ -62,6 +62,11 @@ void HeldStepTangent::set_node(VecRef x, int node, const VecX& values) const {
 
 void HeldStepTangent::take(const HeldStepRecord& step, const VecX& tau, const Servo* servo) {
   record_ = &step;
+  if (step.ending == HeldStepEnd::kBorder && step.contacts[static_cast<std::size_t>(step.ended)].slides())
+    refuse("witness", step.contacts[static_cast<std::size_t>(step.ended)].point.guard,
+           "A contact that slides with friction comes to another feature of its shape",
+           "contacts that stick, roll or have no friction where the nearest feature changes", "one that slides",
+           "Start elsewhere, or set friction=0 for the pair");
   const GaussTable& gauss = gauss_table(stages_);
   for (int j = 0; j < stages_; ++j) {
     for (int i = 0; i < stages_; ++i) weights_(j, i) = step.h * gauss.A[i][j];
@@ -98,9 +103,11 @@ void HeldStepTangent::place_nodes() {
   for (std::size_t i = 0; i < s.contacts.size(); ++i)
     if (phase_.slide(i) >= 0) slide_of_.push_back(i);
   VecX q(tree_->nq);
+  const std::vector<std::array<int, 2>> features = find_features(X.col(stages_ / 2));
   const auto place = [&](HeldNode& node, double part, const VecX& X_node, const VecX& lambda, const VecX& angles,
                          double weight, int number) {
     integrate(*tree_, s.q0, X_node, 1.0, q);
+    node.prefer(features);
     if (node.take(q, s.t + part * s.h, X_node, lambda, angles, weight * load_, s, phase_, number)) return;
     refuse("witness", node.refused(), "The gap of a persistent contact has no second derivative",
            "one pair of nearest points", node.why(), "Start elsewhere, or round the edges of the shapes");
@@ -118,6 +125,25 @@ void HeldStepTangent::place_nodes() {
     at_stage_.change_speeds(velocities_.col(i), watched, along);
     roll_change_.push_back(watched(rolling_, Eigen::all));
   }
+}
+
+// Those at which contacts touch at a stage in the middle of the step, and so all along it: it ends where one comes to
+// another feature.
+std::vector<std::array<int, 2>> HeldStepTangent::find_features(const VecX& X) {
+  std::vector<std::array<int, 2>> found(record_->contacts.size(), {-1, -1});
+  VecX q(tree_->nq);
+  integrate(*tree_, record_->q0, X, 1.0, q);
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    const ContactPoint& point = record_->contacts[i].point;
+    if (point.kind != PointKind::kWitness) continue;
+    ContactTangent middle(*scene_);
+    Contact contact;
+    guards_.place(q);
+    guards_.evaluate_witness(point.guard, contact);
+    if (middle.take(q, point.guard, contact, &point))
+      found[i] = {middle.surface(0).number(), middle.surface(1).number()};
+  }
+  return found;
 }
 
 // As StageConstraints has them.

@@ -55,6 +55,7 @@ class HeldStepTangent {
                            const std::string& got, const char* remedy) const;
   [[noreturn]] void refuse_unsolved() const;
   int first_guard() const;  // of its contacts; -1: it has none
+  std::vector<std::array<int, 2>> find_features(const VecX& X);
   void place_nodes();
   void give_impulses();
   void make_matrix();
