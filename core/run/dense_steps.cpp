@@ -121,6 +121,7 @@ void Simulator::end_dense_phase() {
   contacts_.update_persistent_guards();
   const long halved = state_.control.halved;
   state_.control.start(options_.dt, contact_dt());
+  if (truncation_.bound > 0.0) state_.control.free.longest = truncation_.length;  // the step of run_auto stays
   state_.control.halved = halved;
   if (contact_step_.contacts().empty()) resume_free_motion(state_.time);
 }
