@@ -331,7 +331,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     modes_.end_step();
     if (!branches_.none()) branches_.end_step();
     count_saturated();
-    // What is held by constraints or joint friction alone has no other steps, and a smooth step locates only events.
+    // What is held by constraints or joint friction alone has no other steps. Smooth steps without impacts cost what
+    // their order does.
     if (!interval.quiet && (!contact_step_.contacts().empty() || sequence_.count() > 0)) spent += located_cost() - cost;
     if (truncation_.after_impact > 1 && state_.impacts > before)
       state_.control.free.longest =
@@ -455,8 +456,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     const int guard = deepest_pair(state_.q, gap);
     if (guard >= 0) record_overlap(guard, gap, at + h, recording);
   }
-  interval.checked = true;
-  interval.quiet = !switches;
+  interval.checked = interval.quiet = true;
   interval.done += h;
   const double rest = shorter ? interval.length - interval.done : 0.0;
   interval.remaining = rest > kRounding * interval.length ? rest : 0.0;
