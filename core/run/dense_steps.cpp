@@ -18,9 +18,9 @@ namespace {
 constexpr double kDearer = 3.0;
 // A step to which nothing happens may cost more: what stays at rest with located events is not solved any more.
 constexpr double kQuietDearer = 5.0;
-// [us] of bursts besides, of few points and per stage, each of which has its own distances; those of a grasp reach 8e4
-// at order 2 (test_hand_scene.py). With many points the order of impacts is hardly determined by the scene, and to
-// locate them is worth less.
+// [us] of bursts besides, of few points; those of a grasp reach 8e4 (test_hand_scene.py). With many points the order of
+// impacts is hardly determined by the scene, and to locate them is worth less. Runs that choose their steps for an
+// accuracy may spend it once per stage, each of which has its own distances.
 constexpr double kBurst = 1e5, kFew = 4.0;
 constexpr double kCounted = 1e-3;  // [s] length of the dense steps that count, unless those of contact are shorter
 constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
@@ -60,7 +60,7 @@ double Simulator::allowed_cost(double length) const {
 bool Simulator::events_accumulate(double cost, double length) const {
   if (!(state_.dense.located.excess + cost > 0.0)) return false;
   const double few = std::min(1.0, kFew / std::max(1.0, points_now()));
-  const double burst = kBurst * options_.stages;
+  const double burst = truncation_.bound > 0.0 ? kBurst * options_.stages : kBurst;
   return state_.dense.located.excess + cost > burst * few * few + allowed_cost(length);
 }
 
