@@ -8,31 +8,33 @@ namespace {
 constexpr double kOnBorder = 1e-11;  // [m] as far as the end of a step may be from the border at which it was to end
 }
 
-const ShapeFeatures& FeatureBorders::shape(const Feature& feature) const {
+const Geometry& FeatureBorders::geometry(const Feature& feature, bool of_b) const {
   const Scene& scene = guards_->scene();
   const Pair& pair = scene.pairs[guard(feature)];
-  const Geometry &own = scene.geometries[feature.of_b ? pair.b : pair.a],
-                 &other = scene.geometries[feature.of_b ? pair.a : pair.b];
-  const ShapeFeatures& features = shape_features_of(own, pair.rounded);
-  return shape_features_of(other, pair.rounded).ellipsoid ? features_for_ellipsoid(features) : features;
+  return scene.geometries[of_b ? pair.b : pair.a];
+}
+
+const ShapeFeatures& FeatureBorders::others(const Feature& feature) const {
+  return shape_features_of(geometry(feature, !feature.of_b), guards_->scene().pairs[guard(feature)].rounded);
+}
+
+const ShapeFeatures& FeatureBorders::shape(const Feature& feature) const {
+  const bool rounded = guards_->scene().pairs[guard(feature)].rounded;
+  const ShapeFeatures& own = shape_features_of(geometry(feature, feature.of_b), rounded);
+  return others(feature).ellipsoid ? features_for_ellipsoid(own) : own;
 }
 
 // The centre of a ball, or a point on the normal of the shape at its nearest point, which is in the same region.
 Vec3 FeatureBorders::nearest(const Feature& feature) {
-  const Scene& scene = guards_->scene();
-  const int g = guard(feature);
-  const Pair& pair = scene.pairs[g];
-  const Geometry &own = scene.geometries[feature.of_b ? pair.b : pair.a],
-                 &other = scene.geometries[feature.of_b ? pair.a : pair.b];
-  const ShapeFeatures& others = shape_features_of(other, pair.rounded);
-  const Placements& at = guards_->placements(g);
-  const Pose pose = pose_of(own.body, at);
-  if (others.edges.empty() && others.faces.empty() && !others.ellipsoid)
-    return pose.into(pose_of(other.body, at).point(others.vertices[0]));
+  const ShapeFeatures& other = others(feature);
+  const Placements& at = guards_->placements(guard(feature));
+  const Pose pose = pose_of(geometry(feature, feature.of_b).body, at);
+  if (other.edges.empty() && other.faces.empty() && !other.ellipsoid)
+    return pose.into(pose_of(geometry(feature, !feature.of_b).body, at).point(other.vertices[0]));
   Contact contact;
-  guards_->evaluate_witness(g, contact);
+  guards_->evaluate_witness(guard(feature), contact);
   const Vec3 outward = feature.of_b ? Vec3(-contact.normal) : contact.normal;
-  const double away = others.radius > 0.0 ? others.radius : feature.size;
+  const double away = other.radius > 0.0 ? other.radius : feature.size;
   return pose.into((feature.of_b ? contact.point_b : contact.point_a) + away * outward);
 }
 
@@ -48,9 +50,9 @@ void FeatureBorders::begin(const std::vector<PersistentContact>& contacts) {
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const ContactPoint& point = contacts[i].point;
     if (!scene.is_pair(point.guard)) continue;
-    const Pair& pair = scene.pairs[point.guard];
     for (bool of_b : {false, true}) {
-      Feature feature{i, of_b, scene.geometries[of_b ? pair.b : pair.a].radius, {}, Vec3::Zero(), 0.0};
+      Feature feature{i, of_b, 0.0, {}, Vec3::Zero(), 0.0};
+      feature.size = geometry(feature, of_b).radius;
       if (point.kind != PointKind::kWitness) {
         if (of_b == point.on_b) continue;  // the face is of the other shape
         feature.start_depth = inside_face(feature);

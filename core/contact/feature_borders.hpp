@@ -41,7 +41,10 @@ class FeatureBorders {
     double start_depth;  // without a region [m]
   };
   int guard(const Feature& feature) const { return (*contacts_)[feature.contact].point.guard; }
+  const Geometry& geometry(const Feature& feature, bool of_b) const;
+  // Of the shape, and of the other one.
   const ShapeFeatures& shape(const Feature& feature) const;
+  const ShapeFeatures& others(const Feature& feature) const;
   Vec3 nearest(const Feature& feature);
   double inside_face(const Feature& feature) const;
 

@@ -132,6 +132,39 @@ void ContactSurface::move(const Vec3& s, const Vec3& outward) {
   }
 }
 
+ContactSurface ContactSurface::of(const ShapeFeatures& o, const Pose& pose, int number, const Vec3& x, const Vec3& m) {
+  ContactSurface found;
+  const auto on = [&](const ShapeFeatures::Edge& e) {
+    return pose.point(e.start + (x - e.start).dot(e.direction) * e.direction);
+  };
+  const bool polytope = !o.faces.empty();
+  const int first_edge = static_cast<int>(o.vertices.size()),
+            first_face = first_edge + static_cast<int>(o.edges.size());
+  if (!o.rims.empty()) {
+    const ShapeFeatures::Edge& axis = o.edges[0];
+    const ShapeFeatures::Rim& rim = o.rims[number % 2 == 1 ? 0 : 1];
+    if (number == 0)
+      found = line("side of a cylinder", on(axis), pose.R * axis.direction, axis.radius + o.radius);
+    else if (number <= 2)
+      found = plane("end of a cylinder", pose.point(x + (rim.center - x).dot(rim.axis) * rim.axis), pose.R * rim.axis,
+                    o.radius);
+    else
+      found = ContactSurface::rim(pose.point(rim.center), pose.R * rim.axis, rim.radius, pose.R * m, o.radius);
+  } else if (number < first_edge) {
+    const char* name = polytope ? "vertex" : o.vertices.size() == 2 ? "end of a capsule" : "ball";
+    found = point(name, pose.point(o.vertices[number]), o.radius);
+  } else if (number < first_face) {
+    const ShapeFeatures::Edge& e = o.edges[number - first_edge];
+    found = line(polytope ? "edge" : "side of a capsule", on(e), pose.R * e.direction, o.radius);
+  } else {
+    const ShapeFeatures::Face& f = o.faces[number - first_face];
+    const double above = f.normal.dot(x) - f.offset;
+    found = plane("face", pose.point(x - above * f.normal), pose.R * f.normal, o.radius);
+  }
+  found.number_ = number;
+  return found;
+}
+
 const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose& pose, const Vec3& x, const Vec3& m,
                                              bool nearby, ContactSurface& found) {
   const double near = nearby ? kNearby : kMeeting;
@@ -140,9 +173,7 @@ const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose&
   for (int i = 1; i < static_cast<int>(o.vertices.size()); ++i)
     if ((o.vertices[i] - x).squaredNorm() < (o.vertices[vertex] - x).squaredNorm()) vertex = i;
   if ((o.vertices[vertex] - x).norm() <= near) {
-    const char* name = polytope ? "vertex" : o.vertices.size() == 2 ? "end of a capsule" : "ball";
-    found = point(name, pose.point(o.vertices[vertex]), o.radius);
-    found.number_ = vertex;
+    found = of(o, pose, vertex, x, m);
     double most = -1.0;  // sine of the angle by which the normal is outside of those of the vertex
     for (int i : o.vertex_edges[vertex]) {
       const ShapeFeatures::Edge& e = o.edges[i];
@@ -165,9 +196,7 @@ const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose&
   }
   if (edge >= 0) {
     const ShapeFeatures::Edge& e = o.edges[edge];
-    const Vec3 on = e.start + (x - e.start).dot(e.direction) * e.direction;
-    found = line(polytope ? "edge" : "side of a capsule", pose.point(on), pose.R * e.direction, o.radius);
-    found.number_ = first_edge + edge;
+    found = of(o, pose, first_edge + edge, x, m);
     if (nearby) return nullptr;
     if (std::abs(e.direction.dot(m)) > kSameNormal)
       return polytope ? "a vertex and an edge" : "the end and the side of a capsule";
@@ -194,9 +223,7 @@ const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose&
   }
   if (face < 0) return "a face and its border";
   const ShapeFeatures::Face& f = o.faces[face];
-  const double above = f.normal.dot(x) - f.offset;
-  found = plane("face", pose.point(x - above * f.normal), pose.R * f.normal, o.radius);
-  found.number_ = first_face + face;
+  found = of(o, pose, first_face + face, x, m);
   if (nearby) return nullptr;
   return f.normal.cross(m).norm() <= kSameNormal && outside_of(o, f, x) < -kMeeting ? nullptr : "a face and its border";
 }
@@ -210,19 +237,14 @@ const char* ContactSurface::find_on_cylinder(const ShapeFeatures& o, const Pose&
   const double depth = (rim.center - x).dot(rim.axis), across = distance_from_line(axis, x);
   const double along = m.dot(rim.axis), sine = rim.axis.cross(m).norm();
   if (nearby ? depth > near : along <= kSameNormal) {
-    const Vec3 on = axis.start + (x - axis.start).dot(axis.direction) * axis.direction;
-    found = line("side of a cylinder", pose.point(on), pose.R * axis.direction, axis.radius + o.radius);
-    found.number_ = 0;
+    found = of(o, pose, 0, x, m);
     return nearby || (depth > near && axis.length - depth > near) ? nullptr : "the side of a cylinder and a rim";
   }
   if (nearby ? across < rim.radius - near : sine <= kSameNormal) {
-    const Vec3 on = x + depth * rim.axis;
-    found = plane("end of a cylinder", pose.point(on), pose.R * rim.axis, o.radius);
-    found.number_ = 1 + end;
+    found = of(o, pose, 1 + end, x, m);
     return nearby || across < rim.radius - near ? nullptr : "the end of a cylinder and its rim";
   }
-  found = ContactSurface::rim(pose.point(rim.center), pose.R * rim.axis, rim.radius, pose.R * m, o.radius);
-  found.number_ = 3 + end;
+  found = of(o, pose, 3 + end, x, m);
   return nearby || (std::abs(depth) <= near && std::abs(across - rim.radius) <= near)
              ? nullptr
              : "the rim of a cylinder and its end or side";
@@ -241,41 +263,6 @@ const char* ContactSurface::find(const ShapeFeatures& features, const Pose& pose
   const Vec3 x_B = pose.into(x), m = pose.R.transpose() * outward;
   return features.rims.empty() ? find_on_polytope(features, pose, x_B, m, nearby, found)
                                : find_on_cylinder(features, pose, x_B, m, nearby, found);
-}
-
-ContactSurface ContactSurface::of(const ShapeFeatures& o, const Pose& pose, int number, const Vec3& x,
-                                  const Vec3& outward) {
-  ContactSurface found;
-  const Vec3 x_B = pose.into(x);
-  const auto on = [&](const ShapeFeatures::Edge& e) {
-    return pose.point(e.start + (x_B - e.start).dot(e.direction) * e.direction);
-  };
-  if (!o.rims.empty()) {
-    const ShapeFeatures::Edge& axis = o.edges[0];
-    const ShapeFeatures::Rim& rim = o.rims[number == 1 || number == 3 ? 0 : 1];
-    if (number == 0) {
-      found = line("side of a cylinder", on(axis), pose.R * axis.direction, axis.radius + o.radius);
-    } else if (number <= 2) {
-      found = plane("end of a cylinder", pose.point(x_B + (rim.center - x_B).dot(rim.axis) * rim.axis),
-                    pose.R * rim.axis, o.radius);
-    } else {
-      found = ContactSurface::rim(pose.point(rim.center), pose.R * rim.axis, rim.radius, outward, o.radius);
-    }
-  } else {
-    const int first_edge = static_cast<int>(o.vertices.size()),
-              first_face = first_edge + static_cast<int>(o.edges.size());
-    if (number < first_edge) {
-      found = point("vertex", pose.point(o.vertices[static_cast<std::size_t>(number)]), o.radius);
-    } else if (number < first_face) {
-      const ShapeFeatures::Edge& e = o.edges[static_cast<std::size_t>(number - first_edge)];
-      found = line("edge", on(e), pose.R * e.direction, o.radius);
-    } else {
-      const ShapeFeatures::Face& f = o.faces[static_cast<std::size_t>(number - first_face)];
-      found = plane("face", pose.point(x_B - (f.normal.dot(x_B) - f.offset) * f.normal), pose.R * f.normal, o.radius);
-    }
-  }
-  found.number_ = number;
-  return found;
 }
 
 }  // namespace contactvi

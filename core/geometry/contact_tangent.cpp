@@ -93,7 +93,8 @@ bool ContactTangent::find(const Pair& pair, const Pose (&pose)[2], bool nearby, 
     const char* why = ContactSurface::find(o, pose[side], x, outward(side), nearby, found[side]);
     if (why == nullptr) continue;
     if (const int number = preferred_[static_cast<std::size_t>(side)]; number >= 0) {
-      found[side] = ContactSurface::of(o, pose[side], number, x, outward(side));
+      found[side] =
+          ContactSurface::of(o, pose[side], number, pose[side].into(x), pose[side].R.transpose() * outward(side));
       continue;
     }
     return refuse("the nearest point of the " + std::string(side == 0 ? "first" : "second") + " shape lies between " +

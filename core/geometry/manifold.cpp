@@ -220,7 +220,7 @@ void make_material(ContactPoint& p, const Placements& at, const Contact& contact
   p.offset = p.normal_B.dot(point_B(at, contact.body_a, contact.point_a));
 }
 
-// Whether a vertex, or the lowest point of a rim, lies over the face of its feature.
+// How far a vertex, or the lowest point of a rim, is from the border of the face of its feature; negative beyond it.
 double inside(const Parts& parts, const ContactPoint& point, const Placements& at) {
   if (parts.plane->is_unbounded()) return std::numeric_limits<double>::infinity();
   const ShapeFeatures::Face& face = parts.plane->faces[parts.face];

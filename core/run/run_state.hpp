@@ -21,12 +21,12 @@
 
 namespace contactvi {
 
-// A point that is no contact although its gap is closed.
+// A point that is no contact although its gap is closed: it has separated, or it was left: it went beyond the border of
+// its feature, and other points took its place.
 struct SeparatedPoint {
   int guard;
   std::int64_t feature;
-  bool left =
-      false;  // it went beyond the border of its feature, and other points took its place; else it has separated
+  bool left = false;
 };
 
 // A span in which persistent contacts are left to contact steps of order 2, for smooth steps failed to hold them.

@@ -14,8 +14,8 @@ namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
 constexpr long kReported = 64;        // steps between two reports of progress
-constexpr double kRounding =
-    1e-13;  // of an interval: what is left of it after a smooth step, and is no step of its own
+// Of an interval: what is left of it after a smooth step that ends within is no step of its own.
+constexpr double kRounding = 1e-13;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
@@ -312,7 +312,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   law_->start_step(free_state(start), state_.reference);
   if (!branches_.none()) branches_.begin_interval();
   while (interval.remaining > 0.0) {
-    interval.checked = interval.quiet = false;
+    interval.checked = false;
     if (parts++ > 0) {
       if (!report_progress(start + interval.done)) return false;
       if (!interval.keeps_branches) actuation_.limit(start + interval.done, state_.q, state_.p);
@@ -331,9 +331,10 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     modes_.end_step();
     if (!branches_.none()) branches_.end_step();
     count_saturated();
-    // What is held by constraints or joint friction alone has no other steps. Smooth steps without impacts cost what
-    // their order does.
-    if (!interval.quiet && (!contact_step_.contacts().empty() || sequence_.count() > 0)) spent += located_cost() - cost;
+    // What is held by constraints or joint friction alone has no other steps. A smooth step without an impact costs what
+    // its order does.
+    if (!interval.checked && (!contact_step_.contacts().empty() || sequence_.count() > 0))
+      spent += located_cost() - cost;
     if (truncation_.after_impact > 1 && state_.impacts > before)
       state_.control.free.longest =
           std::min(state_.control.free.longest, interval.remaining / truncation_.after_impact);
@@ -456,7 +457,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     const int guard = deepest_pair(state_.q, gap);
     if (guard >= 0) record_overlap(guard, gap, at + h, recording);
   }
-  interval.checked = interval.quiet = true;
+  interval.checked = true;
   interval.done += h;
   const double rest = shorter ? interval.length - interval.done : 0.0;
   interval.remaining = rest > kRounding * interval.length ? rest : 0.0;

@@ -163,7 +163,6 @@ class Simulator {
     double start, length, done, remaining;
     const VecX& tau;
     bool checked = false;         // the state is in range, as its last change was a smooth step
-    bool quiet = false;           // to whose end nothing has happened
     bool keeps_branches = false;  // the next smooth step has those of the last one, which has ended where one did
     // Of how many steps of at most this length [s] the rest consists; one that is longer by rounding is no further one.
     double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
