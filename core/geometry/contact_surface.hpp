@@ -41,8 +41,8 @@ class ContactSurface {
   // only, and the likeliest feature is taken.
   static const char* find(const ShapeFeatures& features, const Pose& pose, const Vec3& x, const Vec3& outward,
                           bool nearby, ContactSurface& found);
-  // The feature of this number(), at the point x of it with the outward normal m, both in the frame of the shape. Not of
-  // ellipsoids and halfspaces, which have no others.
+  // The feature of this number(), at the point x of it with the outward normal m, both in the frame of the shape. Not
+  // of ellipsoids and halfspaces, which have no others.
   static ContactSurface of(const ShapeFeatures& features, const Pose& pose, int number, const Vec3& x, const Vec3& m);
 
   const char* name() const { return name_; }
