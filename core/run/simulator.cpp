@@ -331,10 +331,10 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     modes_.end_step();
     if (!branches_.none()) branches_.end_step();
     count_saturated();
-    // What is held by constraints or joint friction alone has no other steps. A smooth step without an impact costs what
-    // its order does.
-    if (!interval.checked && (!contact_step_.contacts().empty() || sequence_.count() > 0))
-      spent += located_cost() - cost;
+    // What is held by constraints or joint friction alone has no other steps, and a smooth step without an impact costs
+    // what its order does.
+    const bool touched = !contact_step_.contacts().empty() || sequence_.count() > 0;
+    if (touched && !interval.checked) spent += located_cost() - cost;
     if (truncation_.after_impact > 1 && state_.impacts > before)
       state_.control.free.longest =
           std::min(state_.control.free.longest, interval.remaining / truncation_.after_impact);
