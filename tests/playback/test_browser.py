@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from selenium.webdriver.support.ui import WebDriverWait
 
 import contactvi as cvi
 from helpers.browser_page import POLL, errors, press, set_slider
@@ -429,12 +430,13 @@ def test_everything_fits(browser, tmp_path, width):
                     or one["x"] >= other["x"] + other["width"]
                     or other["x"] >= one["x"] + one["width"]
                 )
-        sliders = browser.find_elements("css selector", "input[type=range]")
-        assert [slider.get_attribute("id") for slider in sliders if slider.is_displayed()] == [
-            "scale",
-            "threshold",
-            "time",
-        ]
+
+        def shown(_) -> bool:
+            sliders = browser.find_elements("css selector", "input[type=range]")
+            names = [slider.get_attribute("id") for slider in sliders if slider.is_displayed()]
+            return names == ["scale", "threshold", "time"]
+
+        WebDriverWait(browser, 20.0).until(shown)  # a busy machine lays the page out a little later
         assert browser.find_elements("class name", "dg") == []  # meshcat's panel
     finally:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
