@@ -697,9 +697,9 @@ class Snapshot:
 class Simulator:
     def __init__(self, scene: Scene, options: SimulatorOptions) -> None: ...
 
-    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None, part: float = 1.0, sample: float = 0.0, after_impact: int = 1, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')] | Callable[[float], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]] | None = None) -> tuple[KeptRun, object]:
+    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None, part: float = 1.0, sample: float = 0.0, after_impact: int = 1, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')] | Callable[[float], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]] | None = None, ends: Sequence[float] = []) -> tuple[KeptRun, object]:
         """
-        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). Return (KeptRun, error of a callback or None).
+        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). ends: ascending times [s] at which steps end, too. Return (KeptRun, error of a callback or None).
         """
 
     def keep_problems(self) -> None:
@@ -779,6 +779,16 @@ class KeptRun:
         """Wall time."""
 
     @property
+    def t(self) -> list[float]:
+        """Times of the nodes [s]."""
+
+    @property
+    def counts_work(self) -> bool:
+        """
+        Whether it counts work or reactions, which are known at its nodes alone.
+        """
+
+    @property
     def nodes(self) -> int: ...
 
     @property
@@ -821,6 +831,11 @@ class KeptRun:
         Error over what that of the companion is larger, by the lengths h of the segments and the law h^power; inf: the runs are too much alike; NaN: unknown, because contacts persist and the impacts differ.
         """
 
+    def take_segments(self) -> dict[str, Any]:
+        """
+        Hand over the polynomials of its steps, as results() does; it cannot be compared any more.
+        """
+
     def results(self) -> dict[str, Any]:
         """
         Hand over what Simulator.advance returns, without "error"; the run is empty then.
@@ -830,6 +845,46 @@ def step_together(simulators: Sequence[Simulator], steps: int, tau: Annotated[ND
     """
     Make steps of several simulators in threads, without the interpreter lock, each with a row of tau (n, nv) and of target (n, 2 nv); return how many ordinary steps each has made. Where these are fewer than `steps` a further one was made, and take() is to be looked at.
     """
+
+class ScenePart:
+    """Some static trees of a scene, with all that is fixed to the world."""
+
+    @property
+    def scene(self) -> Scene:
+        """As a scene of its own."""
+
+    @property
+    def q(self) -> list[int]:
+        """Its entries of a configuration of the whole scene."""
+
+    @property
+    def v(self) -> list[int]:
+        """Its entries of a velocity of the whole scene."""
+
+class StaticTrees:
+    """The trees of a scene that nothing but contacts couples."""
+
+    def __init__(self, scene: Scene) -> None: ...
+
+    @property
+    def count(self) -> int: ...
+
+    @property
+    def guards(self) -> int:
+        """Pairs and joint limits of the scene."""
+
+    def part(self, trees: Sequence[int]) -> ScenePart:
+        """The scene restricted to these trees."""
+
+    def meetings(self, parts: Sequence[ScenePart], runs: Sequence[KeptRun], near: float) -> list[tuple[int, int]]:
+        """
+        Pairs of parts, by their places in the list, that may have come nearer than this [m] in these runs of each alone; all others are certain to have stayed apart.
+        """
+
+    def joined(self, parts: Sequence[ScenePart], runs: Sequence[KeptRun], leader: int) -> KeptRun:
+        """
+        The runs of parts that did not meet as one run of the scene, without polynomials. Its nodes are those of one of the runs, by its place in the list.
+        """
 
 class BatchKeep(enum.Enum):
     """What is kept of the runs of a batch."""

@@ -123,6 +123,13 @@ def _set_actuation(scene: EngineScene, arrays: JointArrays) -> None:
         scene.set_actuator_limits(*(np.ascontiguousarray(part) for part in arrays.actuator))
 
 
+def static_trees(scene: EngineScene) -> _core.StaticTrees:
+    """Return the trees of a scene that nothing but contacts couples."""
+    from contactvi import _core
+
+    return _core.StaticTrees(scene)
+
+
 def engine_states(
     scene: EngineScene,
     segments: Mapping[str, np.ndarray],

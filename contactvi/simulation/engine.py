@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any, cast
 
@@ -34,12 +34,19 @@ def make(
     compiled: CompiledScene, options: Options, slack: float = 1.0, dt_contact: float | None = None
 ) -> _core.Simulator:
     """Return a new simulator of the engine, to be started by `start`; the arguments as those of `engine_options`."""
-    engine = _core.Simulator(compiled.core, engine_options(options, slack, dt_contact))
+    engine = make_of(compiled.core, options, slack, dt_contact)
     if options.last_steps is not None:
         engine.limit_record(0 if options.last_steps == 0 else max(options.last_steps, BLOCK))
     elif options.record_every > 1:
         engine.limit_record(BLOCK)  # its record has the nodes of all steps
     return engine
+
+
+def make_of(
+    scene: _core.Scene, options: Options, slack: float = 1.0, dt_contact: float | None = None
+) -> _core.Simulator:
+    """Return a new simulator of a scene, or a part of one; the arguments as those of `engine_options`."""
+    return _core.Simulator(scene, engine_options(options, slack, dt_contact))
 
 
 def engine_options(options: Options, slack: float = 1.0, dt_contact: float | None = None) -> _core.SimulatorOptions:
@@ -221,7 +228,7 @@ def take(engine: _core.Simulator, record: Record) -> Status | None:
 def run_auto(
     engine: _core.Simulator, duration: float, level: float, progress: Progress | None,
     coarser: _core.KeptRun | None = None, part: float = 1.0, sample: float = 0.0,
-    after_impact: int = 1, target: Array | Callable[[float], Array] | None = None,
+    after_impact: int = 1, target: Array | Callable[[float], Array] | None = None, ends: Sequence[float] = (),
 ) -> tuple[_core.KeptRun, bool]:  # fmt: skip
     """Run for a duration [s] with steps chosen for a level [m, rad]; errors as those of `advance`.
 
@@ -232,8 +239,9 @@ def run_auto(
         sample: smooth steps that are not much longer end at its multiples [s]; 0: at no such times.
         after_impact: steps, at least, from an impact to the end of the step that it is in.
         target: references of the servos, (1, 2 nv) or a function t -> (2 nv,); None without servos.
+        ends: times at which steps end, too [s], ascending.
     """
-    return _kept(*engine.run_auto(duration, level, progress, coarser, part, sample, after_impact, target))
+    return _kept(*engine.run_auto(duration, level, progress, coarser, part, sample, after_impact, target, ends))
 
 
 def _kept(run: _core.KeptRun, error: object) -> tuple[_core.KeptRun, bool]:

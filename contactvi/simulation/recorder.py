@@ -52,6 +52,7 @@ class Record:
         self.p: list[Array] = [p[None]]
         self.events: list[Columns] = []
         self.segments: list[Columns] = []
+        self.apart: dense.SegmentsApart | None = None  # instead of them, of a run in which islands were advanced apart
         self.contacts: list[Columns] = []
         self.changes: list[Columns] = []
         self.points = PointNumbers()
@@ -205,8 +206,10 @@ class Record:
             self.options.impact,
         )
 
-    def segments_joined(self) -> dense.Segments | None:
+    def segments_joined(self) -> dense.Segments | dense.SegmentsApart | None:
         """Return the segments of all blocks; None where none were kept."""
+        if self.apart is not None:
+            return self.apart
         return dense.joined(self.segments, self.options.order, self.options.stage_tol) if self.segments else None
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
@@ -335,7 +338,9 @@ class Record:
         found.separation = self.separation
         return found
 
-    def _sampled(self, t: Array, q: Array, p: Array, segments: dense.Segments, times: Array) -> tuple[Array, Array]:
+    def _sampled(
+        self, t: Array, q: Array, p: Array, segments: dense.Segments | dense.SegmentsApart, times: Array
+    ) -> tuple[Array, Array]:
         """Return q (N, nq) and p (N, nv) at times (N,), the first and the last of which are nodes."""
         slack = ROUNDING * (times[1] - times[0])
         node = t.searchsorted(times - slack)

@@ -79,15 +79,34 @@ class EntryReader:
             self._refuse("configurations that are not finite")
         return nodes
 
-    def segments(self, order: int, tol: float) -> dense.Segments | None:
+    def segments(self, order: int, tol: float) -> dense.Segments | dense.SegmentsApart | None:
         """Return the polynomials of the steps, solved to tol, None where they were not kept."""
-        if "segment/t" not in self._entries:
+        if "segment/t" in self._entries:
+            return self._segments_of("segment", order, tol, self._sizes)
+        parts: list[tuple[tuple[int, ...], dense.Segments]] = []
+        while f"segment{len(parts)}/trees" in self._entries:
+            group = f"segment{len(parts)}"
+            trees = self.entry(f"{group}/trees", (None,), int)
+            count = len(self.entry(f"{group}/t", (None,)))
+            sizes = {}
+            for name, axis in (("q", "q"), ("p", "v")):
+                width = self._entries.get(f"{group}/{name}", np.zeros(0))
+                sizes[axis] = width.shape[1] if width.ndim == 2 and len(width) == count else -1
+            parts.append((tuple(trees.tolist()), self._segments_of(group, order, tol, sizes)))
+        if not parts:
             return None
-        count = len(self.entry("segment/t", (None,)))
-        sizes = {**self._sizes, "sv": order // 2 * self._sizes["v"]}
+        whole = {axis: sum(part.arrays[name].shape[1] for _, part in parts) for name, axis in (("q", "q"), ("p", "v"))}
+        chosen = sorted(tree for trees, _ in parts for tree in trees)
+        if chosen != list(range(len(chosen))) or any(whole[axis] != self._sizes[axis] for axis in whole):
+            self._refuse("segments of groups of bodies that are not those of the scene")
+        return dense.SegmentsApart(parts)
+
+    def _segments_of(self, group: str, order: int, tol: float, sizes: Mapping[str, int]) -> dense.Segments:
+        count = len(self.entry(f"{group}/t", (None,)))
+        widths = {**sizes, "sv": order // 2 * sizes["v"]}
         arrays = {}
         for name, axes in dense.FIELDS.items():
-            arrays[name] = self.entry(stored_name("segment", name), (count, *(sizes[axis] for axis in axes)))
+            arrays[name] = self.entry(stored_name(group, name), (count, *(widths[axis] for axis in axes)))
             if not (np.all(np.isfinite(arrays[name])) if name == "rates" else of_a_run(arrays[name])):
                 self._refuse("segments that are not finite")
         rounding = 8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:])

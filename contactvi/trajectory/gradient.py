@@ -17,6 +17,7 @@ from contactvi.errors import ApproximateDerivativeWarning, InputError, did_you_m
 from contactvi.inputs import array, check_choice, check_signature, real, real_numbers
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
+from contactvi.trajectory.polynomials import Segments
 from contactvi.trajectory.sensitivity import (
     ON_KINK,
     DenseStepSensitivity,
@@ -97,7 +98,7 @@ def _check_direction(
     a random one of those asked for holds along all, with probability one. Returns the dense steps whose derivative is
     approximate.
     """
-    assert traj.segments is not None
+    assert isinstance(traj.segments, Segments)
     several = len(traj.events) and int(traj.events.array("points").max()) > 1
     if not several and not np.any(traj.segments.arrays["persistent"]):
         return []

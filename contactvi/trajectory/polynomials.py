@@ -8,14 +8,14 @@ one by one are therefore found by a step that ends there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.scene.engine import engine_states
+from contactvi.scene.engine import engine_states, static_trees
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -63,6 +63,11 @@ class Segments:
     def __len__(self) -> int:
         return len(self.arrays["t"])
 
+    @property
+    def steps(self) -> list[Mapping[str, Array]]:
+        """The steps of the bodies that are advanced together: {"t", "h", "persistent"} of each such group of them."""
+        return [self.arrays]
+
     def states(self, core: _core.Scene, times: Array, exact: bool = False) -> tuple[Array, Array]:
         """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it.
 
@@ -80,6 +85,43 @@ class Segments:
         """Return q (N, nq) and p (N, nv) at times [s], exact as those of `states`."""
         times = np.ascontiguousarray(times, dtype=float)
         return engine_states(core, self.arrays, times, self.order, self.tol, exact=True, momenta=True)
+
+
+class SegmentsApart:
+    """The segments of a run in which groups of bodies are advanced apart from each other.
+
+    Attributes:
+        parts: the static trees of each group, by number, and its segments, in its own numbers.
+    """
+
+    def __init__(self, parts: Sequence[tuple[tuple[int, ...], Segments]]) -> None:
+        self.parts = list(parts)
+
+    def __len__(self) -> int:
+        return sum(len(segments) for _, segments in self.parts)
+
+    @property
+    def steps(self) -> list[Mapping[str, Array]]:
+        """As those of `Segments`."""
+        return [segments.arrays for _, segments in self.parts]
+
+    def states(self, core: _core.Scene, times: Array, exact: bool = False) -> tuple[Array, Array]:
+        """As that of `Segments`."""
+        return self._of_all(core, times, lambda segments, scene: segments.states(scene, times, exact))
+
+    def exact_momenta(self, core: _core.Scene, times: Array) -> tuple[Array, Array]:
+        """As that of `Segments`."""
+        return self._of_all(core, times, lambda segments, scene: segments.exact_momenta(scene, times))
+
+    def _of_all(
+        self, core: _core.Scene, times: Array, find: Callable[[Segments, _core.Scene], tuple[Array, Array]]
+    ) -> tuple[Array, Array]:
+        trees = static_trees(core)
+        q, v = np.zeros((len(times), core.nq)), np.zeros((len(times), core.nv))
+        for chosen, segments in self.parts:
+            part = trees.part(list(chosen))
+            q[:, part.q], v[:, part.v] = find(segments, part.scene)
+        return q, v
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int, tol: float) -> Segments | None:

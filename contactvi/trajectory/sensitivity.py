@@ -22,7 +22,7 @@ from contactvi.records.inputs import RunInputs
 from contactvi.scene.parameter_values import LIMITS
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
-from contactvi.trajectory.polynomials import Segments
+from contactvi.trajectory.polynomials import Segments, SegmentsApart
 from contactvi.trajectory.poses import point_jacobians
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Recorded(Protocol):
     p: Array
     options: Options
     events: EventLog
-    segments: Segments | None
+    segments: Segments | SegmentsApart | None
     inputs: RunInputs | None
 
 
@@ -265,7 +265,7 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
             got="one without joints" if still else f"{len(traj.t)} node, {traj.options.steps} steps asked for",
             remedy="Add a body that moves" if still else "Look at its status, why it has ended where it started",
         )  # fmt: skip
-    if inputs is None or segments is None:
+    if inputs is None or not isinstance(segments, Segments):
         raise InputError(
             "The run has not kept what its derivatives need", name="record", expected="a run with record='gradient'",
             got="one without", remedy="simulate(..., record='gradient')",

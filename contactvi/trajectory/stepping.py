@@ -14,7 +14,7 @@ from contactvi.records.dense_steps import DenseSteps
 from contactvi.records.work import ConstraintRows
 from contactvi.scene.scene import Scene
 from contactvi.status import Stats, Status
-from contactvi.trajectory.polynomials import CONTACT_STEP, Segments
+from contactvi.trajectory.polynomials import CONTACT_STEP, Segments, SegmentsApart
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class Run(Protocol):
     t: Array
     status: Status
     stats: Stats
-    segments: Segments | None
+    segments: Segments | SegmentsApart | None
     adaptive_steps: dict[str, Array] | None
     phases: dict[str, NDArray[Any]] | None
     dense_steps: DenseSteps
@@ -94,7 +94,8 @@ def _contact_steps(
         fixed = np.nan if traj.options.auto else traj.options.fixed_dt
         stepped = persistent & (phases["dt"] < fixed)
         return float(spans[stepped].sum()), stepped
-    steps = traj.segments.arrays
+    each = traj.segments.steps
+    steps = {name: np.concatenate([part[name] for part in each]) for name in ("t", "h", "persistent")}
     phase = np.searchsorted(phases["t"], steps["t"] + 0.5 * steps["h"]) - 1
     of_order_2 = (steps["persistent"] == CONTACT_STEP) & (phase >= 0) & persistent[np.maximum(phase, 0)]
     stepped = np.zeros(len(persistent), dtype=bool)

@@ -86,6 +86,8 @@ segment/p             (m, nv)        momentum at its start, this and the next tw
 segment/p1            (m, nv)        momentum at its end, before an impact there
 segment/rates         (m, s nv)      chart rates at the Gauss stages (core/step/path.hpp)
 segment/held          (m,)           1: a contact step or a dense one, of order 2; 2: a smooth step that holds contacts
+segmentK/trees        (b,) int64     instead of segment/..., K = 0, 1, ...: static trees that are advanced together
+segmentK/t ...                       the other entries of segment/..., for these alone, with their sizes
 arc/t                 (k,)           with dt "auto" only: from these times on [s]
 arc/dt                (k,)           the steps have these lengths [s]
 frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
@@ -146,7 +148,7 @@ from contactvi.records.work import Forces
 from contactvi.scene.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory.entry_reader import PHASES, Entries, EntryReader, of_a_run, refuse, stored_name
-from contactvi.trajectory.polynomials import Segments
+from contactvi.trajectory.polynomials import Segments, SegmentsApart
 from contactvi.version import version
 
 FORMAT = "contactvi-trajectory"
@@ -170,7 +172,7 @@ class Run(Protocol):
     status: Status
     stats: Stats
     forced: bool
-    segments: Segments | None
+    segments: Segments | SegmentsApart | None
     adaptive_steps: dict[str, NDArray[np.float64]] | None
     phases: dict[str, NDArray[np.float64]] | None
     contacts: ContactLog
@@ -219,7 +221,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     entries: dict[str, Any] = {name: getattr(traj, name) for name in _stored_nodes(traj.options)}
     entries |= {"gap/time": gap_time, "gap/value": gap_value, "frame/time": traj.frames[0], "frame/q": traj.frames[1]}
     if traj.segments is not None:
-        entries |= {stored_name("segment", name): values for name, values in traj.segments.arrays.items()}
+        entries |= _segment_entries(traj.segments)
     entries |= {f"arc/{name}": values for name, values in (traj.adaptive_steps or {}).items()}
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
     if traj.phases is not None:
@@ -233,6 +235,16 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         entries |= {f"input/{name}": values for name, values in traj.inputs.stored().items()}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
     return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
+
+
+def _segment_entries(segments: Segments | SegmentsApart) -> dict[str, NDArray[Any]]:
+    if isinstance(segments, Segments):
+        return {stored_name("segment", name): values for name, values in segments.arrays.items()}
+    entries: dict[str, NDArray[Any]] = {}
+    for k, (trees, part) in enumerate(segments.parts):
+        entries[f"segment{k}/trees"] = np.array(trees, dtype=np.int64)
+        entries |= {stored_name(f"segment{k}", name): values for name, values in part.arrays.items()}
+    return entries
 
 
 _UNPACKED, _MOST_PACKED = 1e9, 100.0  # [bytes] that any file may unpack to; times its own size

@@ -27,7 +27,7 @@ from contactvi.trajectory.exports import Exports
 from contactvi.trajectory.gaps import Gaps, gaps_along
 from contactvi.trajectory.interpolation import interpolated, times_within
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
-from contactvi.trajectory.polynomials import Segments, State, frame_times
+from contactvi.trajectory.polynomials import Segments, SegmentsApart, State, frame_times
 from contactvi.trajectory.shown import run_html
 from contactvi.trajectory.stepping import stepping_of
 
@@ -90,7 +90,7 @@ class Trajectory(Exports):
         stats: Stats,
         *,
         forced: bool = False,
-        segments: Segments | None = None,
+        segments: Segments | SegmentsApart | None = None,
         adaptive_steps: Mapping[str, Array] | None = None,
         error_estimate: float = float("nan"),
         derived: Mapping[str, Array] | None = None,

@@ -13,6 +13,7 @@ void expose_model(nanobind::module_& m);
 void expose_scene(nanobind::module_& m);
 void expose_elements(nanobind::class_<Scene>& scene);
 void expose_kept_runs(nanobind::module_& m, nanobind::class_<SteppedWorld>& simulator);
+void expose_runs_apart(nanobind::module_& m);
 void expose_posed_problems(nanobind::class_<SteppedWorld>& simulator);
 void expose_simulator(nanobind::module_& m);
 void expose_batch(nanobind::module_& m);

@@ -2,6 +2,7 @@
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/variant.h>
+#include <nanobind/stl/vector.h>
 
 #include <chrono>
 #include <limits>
@@ -12,10 +13,11 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
+#include "bindings/kept_run.hpp"
 #include "bindings/progress.hpp"
 #include "bindings/run_results.hpp"
 #include "bindings/user_calls.hpp"
-#include "run/kept_run.hpp"
+#include "run/run_comparison.hpp"
 #include "run/stepped_world.hpp"
 
 namespace nb = nanobind;
@@ -25,26 +27,17 @@ namespace contactvi {
 
 namespace {
 
-// A run with what belongs to it.
-struct Own {
-  KeptRun run;
-  const Scene* scene;
-  SimulatorOptions options;
-  nb::object owner;  // of the scene
-  bool planned;      // its steps are parts of those of another one
-};
-
 // The run, and the error of a callback or a function of the user that ended it.
-using Outcome = nb::typed<nb::tuple, Own, nb::object>;
+using Outcome = nb::typed<nb::tuple, OwnRun, nb::object>;
 
 // References of servos, (2 nv,) at a time [s]; one row of them, where they are constant; or none.
 using ReferencesOfTime = nb::typed<nb::callable, VecX(double)>;
 using Target = std::variant<std::monostate, MatX, ReferencesOfTime>;
 
 template <class Run>
-Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, const Own* guide, bool planned,
+Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, const OwnRun* guide, bool planned,
              Run call, const MovingReferences& references = {}) {
-  auto own = std::make_unique<Own>(Own{KeptRun(), &sim.scene(), sim.options(), nb::find(sim.scene()), planned});
+  auto own = std::make_unique<OwnRun>(OwnRun{KeptRun(), &sim.scene(), sim.options(), nb::find(sim.scene()), planned});
   KeptRun& run = own->run;
   const Progress callback = wrapped(progress);
   sim.forget_steps();
@@ -85,7 +78,8 @@ MovingReferences references_of(const ReferencesOfTime& function, Eigen::Index nu
 }
 
 Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
-                 const Own* coarser, double part, double sample, int after_impact, const Target& target) {
+                 const OwnRun* coarser, double part, double sample, int after_impact, const Target& target,
+                 const std::vector<double>& ends) {
   if (!(duration > 0.0) || !(level > 0.0) || !(part > 0.0)) throw Error("duration, level and part must be > 0");
   if (!(sample >= 0.0) || after_impact < 1) throw Error("sample must be >= 0, after_impact >= 1");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
@@ -104,21 +98,15 @@ Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::op
   return keep(
       sim, progress, coarser, plan.has_value(),
       [&](const Progress& callback, Recording& recording) {
-        return sim.run_auto(
-            duration, {level, plan ? &*plan : nullptr, sample, after_impact, constant, moving ? &moving : nullptr},
-            callback, recording);
+        return sim.run_auto(duration,
+                            {level, plan ? &*plan : nullptr, sample, ends.empty() ? nullptr : &ends, after_impact,
+                             constant, moving ? &moving : nullptr},
+                            callback, recording);
       },
       moving);
 }
 
-// The run of one that can be compared.
-const KeptRun& compared(const Own& own) {
-  if (!own.options.dense) throw Error("runs that are compared need the polynomials of their steps");
-  if (own.run.recording.t.empty()) throw Error("the run has been handed over");
-  return own.run;
-}
-
-Dict results(Own& own) {
+Dict results(OwnRun& own) {
   KeptRun& run = own.run;
   return run_results(*own.scene, own.options, run.recording, run.state, run.counters, KeptContactSteps(), run.status,
                      run.seconds);
@@ -126,56 +114,77 @@ Dict results(Own& own) {
 
 }  // namespace
 
+const KeptRun& OwnRun::compared() const {
+  if (!options.dense) throw Error("runs that are compared need the polynomials of their steps");
+  if (run.recording.t.empty()) throw Error("the run has been handed over");
+  return run;
+}
+
 void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
   const auto count = [](std::size_t n) { return static_cast<long>(n); };
-  nb::class_<Own>(m, "KeptRun", "A run with the polynomials of its steps, kept in the engine.")
-      .def_prop_ro("code", [](const Own& own) { return own.run.status.code; })
+  nb::class_<OwnRun>(m, "KeptRun", "A run with the polynomials of its steps, kept in the engine.")
+      .def_prop_ro("code", [](const OwnRun& own) { return own.run.status.code; })
       .def_prop_ro(
-          "time", [](const Own& own) { return own.run.status.time; }, "Reached [s].")
+          "time", [](const OwnRun& own) { return own.run.status.time; }, "Reached [s].")
       .def_prop_ro(
-          "seconds", [](const Own& own) { return own.run.seconds; }, "Wall time.")
-      .def_prop_ro("nodes", [count](const Own& own) { return count(own.run.recording.t.size()); })
-      .def_prop_ro("segments", [count](const Own& own) { return count(own.run.recording.segments.t.size()); })
-      .def_prop_ro("sweeps", [](const Own& own) { return own.run.counters.steps.stage_iterations; })
+          "seconds", [](const OwnRun& own) { return own.run.seconds; }, "Wall time.")
       .def_prop_ro(
-          "contact_changes", [count](const Own& own) { return count(own.run.recording.changes.size()); },
+          "t", [](const OwnRun& own) { return own.run.recording.t; }, "Times of the nodes [s].")
+      .def_prop_ro(
+          "counts_work", [](const OwnRun& own) { return counts_work(own.run.recording); },
+          "Whether it counts work or reactions, which are known at its nodes alone.")
+      .def_prop_ro("nodes", [count](const OwnRun& own) { return count(own.run.recording.t.size()); })
+      .def_prop_ro("segments", [count](const OwnRun& own) { return count(own.run.recording.segments.t.size()); })
+      .def_prop_ro("sweeps", [](const OwnRun& own) { return own.run.counters.steps.stage_iterations; })
+      .def_prop_ro(
+          "contact_changes", [count](const OwnRun& own) { return count(own.run.recording.changes.size()); },
           "Begins, ends and slips of persistent contacts.")
-      .def_prop_ro("dense_steps", [](const Own& own) { return own.run.state.dense_steps; })
-      .def_prop_ro("contact_iterations", [](const Own& own) { return own.run.counters.contact.contact_iterations; })
+      .def_prop_ro("dense_steps", [](const OwnRun& own) { return own.run.state.dense_steps; })
+      .def_prop_ro("contact_iterations", [](const OwnRun& own) { return own.run.counters.contact.contact_iterations; })
       .def_prop_ro(
-          "contact_time", [](const Own& own) { return contact_time(own.run); },
+          "contact_time", [](const OwnRun& own) { return contact_time(own.run); },
           "Length of the steps with persistent contacts together [s].")
       .def_prop_ro(
-          "size", [](const Own& own) { return motion_size(own.scene->tree, compared(own)); },
+          "size", [](const OwnRun& own) { return motion_size(own.scene->tree, own.compared()); },
           "Largest distance of a node from the first one [m, rad].")
       .def_prop_ro(
-          "first_step_error", [](const Own& own) { return first_step_error(*own.scene, own.options, compared(own)); },
+          "first_step_error",
+          [](const OwnRun& own) { return first_step_error(*own.scene, own.options, own.compared()); },
           "Largest distance between a first step of a flight and two halves of it [m, rad].")
       .def(
           "distances",
-          [](const Own& found, const Own& other, int times, bool over_time, bool ended) {
+          [](const OwnRun& found, const OwnRun& other, int times, bool over_time, bool ended) {
             if (times < 1) throw Error("times must be >= 1");
-            return distances(*found.scene, other.options, compared(other), compared(found), times, over_time, ended);
+            return distances(*found.scene, other.options, other.compared(), found.compared(), times, over_time, ended);
           },
           "other"_a, "times"_a, "over_time"_a = false, "ended"_a = false,
           "Distances of another run from the nodes of this one, evenly over the nodes or the time; infinite where one"
           " ended much earlier, unless `ended`: then up to the earlier end.")
       .def(
           "error_share",
-          [](const Own& found, const Own& companion, int power, double dt_contact) {
-            return error_share(compared(companion), compared(found), power, dt_contact);
+          [](const OwnRun& found, const OwnRun& companion, int power, double dt_contact) {
+            return error_share(companion.compared(), found.compared(), power, dt_contact);
           },
           "companion"_a, "power"_a, "dt_contact"_a,
           "Error over what that of the companion is larger, by the lengths h of the segments and the law h^power; inf:"
           " the runs are too much alike; NaN: unknown, because contacts persist and the impacts differ.")
+      .def(
+          "take_segments",
+          [](OwnRun& own) {
+            own.compared();
+            return segments(own.scene->tree, own.options.stages, own.run.recording.segments);
+          },
+          "Hand over the polynomials of its steps, as results() does; it cannot be compared any more.")
       .def("results", &results, "Hand over what Simulator.advance returns, without \"error\"; the run is empty then.");
   simulator.def(
       "run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
-      "part"_a = 1.0, "sample"_a = 0.0, "after_impact"_a = 1, "target"_a = nb::none(),
+      "part"_a = 1.0, "sample"_a = 0.0, "after_impact"_a = 1, "target"_a = nb::none(), "ends"_a = std::vector<double>(),
       "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
       " coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are"
       " nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end"
-      " of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). Return (KeptRun, error of a "
+      " of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). ends: ascending times [s] at "
+      "which"
+      " steps end, too. Return (KeptRun, error of a "
       "callback or None).");
 }
 

@@ -60,6 +60,7 @@ NB_MODULE(_core, m) {
   contactvi::expose_hull(m);
   contactvi::expose_kernel(m);
   contactvi::expose_simulator(m);
+  contactvi::expose_runs_apart(m);
   contactvi::expose_batch(m);
   contactvi::expose_manifold(m);
   contactvi::expose_sequence(m);

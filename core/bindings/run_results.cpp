@@ -50,6 +50,8 @@ void make_public(const Tree& tree, const std::vector<double>& q, std::vector<dou
   }
 }
 
+}  // namespace
+
 Dict segments(const Tree& tree, int stages, Segments& s) {
   const std::size_t n = s.t.size();
   Dict d;
@@ -62,8 +64,6 @@ Dict segments(const Tree& tree, int stages, Segments& s) {
   d["rates"] = hand_over(std::move(s.rates), n, static_cast<std::size_t>(tree.nv) * stages);
   return d;
 }
-
-}  // namespace
 
 void add_status(const Scene& s, const Status& status, nb::dict& d) {
   const PublicGuard guard = public_guard(s, status.guard);

@@ -35,6 +35,7 @@ constexpr double kSameTime = 1e-9;       // of the duration: times of a plan tha
 // and with copies of both, about four times as much. Longer runs would end where the memory of the machine does.
 constexpr double kMostNumbers = 536870912.0;
 constexpr double kMostSamples = 2.0;  // in a smooth step that is not cut at each of them
+constexpr double kRounding = 1e-14;   // of the duration
 constexpr double kNearSample = 1e-9;  // of the time between two: times that differ by less are one
 
 // Where the steps from a time on, of at most `longest` [s], end at a sample, or at the end [s]. Samples between two
@@ -43,6 +44,13 @@ double next_sample(double sample, double origin, double time, double longest, do
   if (longest > kMostSamples * sample) return end;
   const double next = origin + sample * (std::floor((time - origin) / sample + kNearSample) + 1.0);
   return next > end - kNearSample * sample ? end : next;
+}
+
+// The first of these times after a time, at the latest the end [s]; times that differ by rounding alone are one.
+double next_of(const std::vector<double>* times, double time, double end, double duration) {
+  if (times == nullptr) return end;
+  const auto next = std::upper_bound(times->begin(), times->end(), time + kRounding * duration);
+  return next == times->end() ? end : std::min(*next, end);
 }
 
 // The steps of one length, from a time to the next sample or the end.
@@ -110,7 +118,8 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
   std::vector<std::pair<double, double>> lengths;  // of the steps, each from a time on [s]
   const auto enter = [&](double begin) {
     const double longest = persistent ? std::min(contact_dt(), truncation_.longest_contact) : state_.adaptive_dt;
-    section = section_of(begin, persistent ? end : next_sample(steps.sample, origin, begin, longest, end), longest);
+    const double limit = next_of(steps.ends, begin, end, end - origin);
+    section = section_of(begin, persistent ? limit : next_sample(steps.sample, origin, begin, longest, limit), longest);
     smooth = std::min(section.h(), state_.adaptive_dt);  // the longest smooth step of an interval
     state_.control.free.longest = truncation_.length = smooth;
     const double h = section.h();

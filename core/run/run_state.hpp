@@ -100,6 +100,7 @@ struct EngineCounters {
   ContactStepCounters contact;
   DenseStepCounters dense;
 };
+void sum_up(const EngineCounters& part, EngineCounters& sum);
 
 struct Snapshot {
   RunState run;

@@ -29,6 +29,7 @@ struct AutoSteps {
   double level;                    // what the highest mode of the stage velocities moves at most in a step [m; rad]
   const StepPlan* plan = nullptr;  // null: none
   double sample = 0.0;  // smooth steps that are not much longer end at its multiples [s]; 0: at no such times
+  const std::vector<double>* ends = nullptr;  // at these times steps end, too [s], ascending; null: there are none
   // Steps, at least, from an impact to the end of the step that it is in. Two runs may end that step at the same time;
   // what comes after the impact shows no error in their distance if both make it in one step.
   int after_impact = 1;

@@ -21,27 +21,28 @@ std::vector<int> numbers_up_to(int count) {
 }
 
 void add(const Simulator& engine, EngineCounters& sum) {
-  const StepCounters& s = engine.step_counters();
-  sum.steps.steps += s.steps;
-  sum.steps.stage_iterations += s.stage_iterations;
-  sum.steps.factorizations += s.factorizations;
-  sum.guards.evaluated += engine.guard_counters().evaluated;
-  sum.guards.skipped += engine.guard_counters().skipped;
-  const ContactStepCounters& c = engine.contact_counters();
-  sum.contact.steps += c.steps;
-  sum.contact.contact_iterations += c.contact_iterations;
-  sum.contact.problems += c.problems;
-  sum.contact.iterations += c.iterations;
-  sum.contact.fallbacks += c.fallbacks;
-  const DenseStepCounters& d = engine.dense_counters();
-  sum.dense.problems += d.problems;
-  sum.dense.sweeps += d.sweeps;
-  sum.dense.factorizations += d.factorizations;
-  sum.dense.gap_iterations += d.gap_iterations;
-  sum.dense.passes += d.passes;
+  sum_up({engine.step_counters(), engine.guard_counters(), engine.contact_counters(), engine.dense_counters()}, sum);
 }
 
 }  // namespace
+
+void sum_up(const EngineCounters& part, EngineCounters& sum) {
+  sum.steps.steps += part.steps.steps;
+  sum.steps.stage_iterations += part.steps.stage_iterations;
+  sum.steps.factorizations += part.steps.factorizations;
+  sum.guards.evaluated += part.guards.evaluated;
+  sum.guards.skipped += part.guards.skipped;
+  sum.contact.steps += part.contact.steps;
+  sum.contact.contact_iterations += part.contact.contact_iterations;
+  sum.contact.problems += part.contact.problems;
+  sum.contact.iterations += part.contact.iterations;
+  sum.contact.fallbacks += part.contact.fallbacks;
+  sum.dense.problems += part.dense.problems;
+  sum.dense.sweeps += part.dense.sweeps;
+  sum.dense.factorizations += part.dense.factorizations;
+  sum.dense.gap_iterations += part.dense.gap_iterations;
+  sum.dense.passes += part.dense.passes;
+}
 
 World::World(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),

@@ -86,7 +86,6 @@ class World {
   void merge_phases(double t, Recording& recording);
   void merge_recordings(double t, double length, Recording& recording);
   void add_impact(const Entry& entry, double t, double length, Recording& recording);
-  void add_contact(const Entry& entry, Recording& recording);
   void record_node(Recording& recording);
   bool ask(double time, long impacts);
   bool report_progress();

@@ -2,6 +2,7 @@
 // numbers of the whole scene.
 #include <algorithm>
 
+#include "run/part_records.hpp"
 #include "run/world.hpp"
 
 namespace contactvi {
@@ -36,38 +37,16 @@ void World::merge(Count count, Time time, Put put) {
 // An impact with the state of the whole scene: of the bodies of other islands that between the ends of the interval,
 // or, where it has to obey constraints, that at the end of a shorter step.
 void World::add_impact(const Entry& entry, double t, double length, Recording& recording) {
-  ImpactRecord impact = entry.island->recording().impacts[entry.row];
-  const SubScene& numbers = entry.island->numbers();
-  const VecX q = impact.q, minus = impact.p_minus, plus = impact.p_plus;
+  const ImpactRecord& impact = entry.island->recording().impacts[entry.row];
   const double x = length > 0.0 ? std::clamp((impact.time - t) / length, 0.0, 1.0) : 0.0;
-  interpolate(scene_->tree, state_.q, q1_, x, impact.q);
-  impact.p_minus = (1.0 - x) * state_.p + x * p1_;
+  VecX q(state_.q.size()), p = (1.0 - x) * state_.p + x * p1_;
+  interpolate(scene_->tree, state_.q, q1_, x, q);
   for (Island* island : islands_) {
     if (x == 0.0 || !island->constrained() || island == entry.island) continue;
     if (!graph_.measured()) tell_motion();  // the island makes a step more, which is not of the motion
-    island->gather_at(state_.q, state_.p, state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
+    island->gather_at(state_.q, state_.p, state_.step, t, x * length, island_progress_, q, p);
   }
-  impact.p_plus = impact.p_minus;
-  for (std::size_t i = 0; i < numbers.q.size(); ++i) impact.q[numbers.q[i]] = q[static_cast<Eigen::Index>(i)];
-  for (std::size_t i = 0; i < numbers.v.size(); ++i) {
-    impact.p_minus[numbers.v[i]] = minus[static_cast<Eigen::Index>(i)];
-    impact.p_plus[numbers.v[i]] = plus[static_cast<Eigen::Index>(i)];
-  }
-  impact.guard = numbers.guards[impact.guard];
-  recording.impacts.push_back(std::move(impact));
-}
-
-void World::add_contact(const Entry& entry, Recording& recording) {
-  const ContactRows& from = entry.island->recording().contacts;
-  const std::size_t i = entry.row;
-  const auto three = [i](const std::vector<double>& list) {
-    return Vec3(list[3 * i], list[3 * i + 1], list[3 * i + 2]);
-  };
-  recording.contacts.push(from.t[i], from.h[i], entry.island->numbers().guards[from.guard[i]], from.point[i],
-                          static_cast<ContactMode>(from.mode[i]), from.step[i], three(from.position),
-                          three(from.normal), three(from.position_impulse), three(from.velocity_impulse), from.gap[i],
-                          three(from.slip), from.work[i]);
-  recording.contacts.dense.back() = from.dense[i];
+  append_impact(entry.island->numbers(), impact, q, p, recording.impacts);
 }
 
 // The kind of the world's steps is the highest one of its islands.
@@ -100,19 +79,18 @@ void World::merge_recordings(double t, double length, Recording& recording) {
         [&](const Entry& entry) { add_impact(entry, t, length, recording); });
   merge([](const Recording& r) { return r.contacts.t.size(); },
         [](const Recording& r, std::size_t i) { return r.contacts.t[i]; },
-        [&](const Entry& entry) { add_contact(entry, recording); });
+        [&](const Entry& entry) {
+          append_contact(entry.island->numbers(), entry.island->recording().contacts, entry.row, recording.contacts);
+        });
   merge([](const Recording& r) { return r.changes.size(); },
         [](const Recording& r, std::size_t i) { return r.changes[i].time; },
         [&](const Entry& entry) {
-          ChangeRecord change = entry.island->recording().changes[entry.row];
-          change.guard = entry.island->numbers().guards[change.guard];
-          recording.changes.push_back(change);
+          append_change(entry.island->numbers(), entry.island->recording().changes[entry.row], recording.changes);
         });
   merge([](const Recording& r) { return r.dense.size(); },
         [](const Recording& r, std::size_t i) { return r.dense[i].time; },
         [&](const Entry& entry) {
-          recording.dense.push_back(entry.island->recording().dense[entry.row]);
-          recording.dense.back().island = entry.island->numbers().joints.front();
+          append_dense(entry.island->numbers(), entry.island->recording().dense[entry.row], recording.dense);
         });
   merge_phases(t, recording);
 }

@@ -13,7 +13,7 @@ import pytest
 import contactvi as cvi
 from contactvi import _core
 from contactvi.options import Options
-from contactvi.simulation import adaptive, engine
+from contactvi.simulation import auto_search, engine
 from contactvi.simulation.auto_contact import LEAST, Judged
 from contactvi.trajectory.compiled import compile_scene
 from helpers.chains import chain
@@ -264,8 +264,8 @@ def judged_pair(errors, shares, exponent):
     e0 = errors
     e1 = e0 * shares[0] ** exponent
     e2 = e1 * shares[1] ** exponent
-    first = adaptive._by_law(np.array([e0 - e1]), None, laws[0], 0.0, 1e3)
-    second = adaptive._by_law(np.array([e1 - e2]), first, laws[1], 0.0, 1e3)
+    first = auto_search._by_law(np.array([e0 - e1]), None, laws[0], 0.0, 1e3)
+    second = auto_search._by_law(np.array([e1 - e2]), first, laws[1], 0.0, 1e3)
     return first, second, e1, e2
 
 
@@ -280,36 +280,36 @@ def test_an_estimate_is_within_its_bounds_where_errors_fall_less_than_the_law_sa
 
 def test_no_pair_of_runs_is_trusted_beyond_what_was_seen():
     """The first by a factor, whatever the law says; the second by the square of the fall that was seen."""
-    first = adaptive._by_law(np.array([1e-3]), None, 1e-9, 0.0, 1e3)
+    first = auto_search._by_law(np.array([1e-3]), None, 1e-9, 0.0, 1e3)
     assert first.estimate == 1e-3 / LEAST
-    second = adaptive._by_law(np.array([1e-5]), first, 1e-30, 0.0, 1e3)
+    second = auto_search._by_law(np.array([1e-5]), first, 1e-30, 0.0, 1e3)
     assert second.estimate == pytest.approx(1e-5 / 101.0**2)
 
 
 def test_the_first_pair_with_contact_is_as_wrong_as_it_is_apart():
-    first = adaptive._by_law(np.array([1e-3]), None, 1e-9, 0.0, 1e3, least=1.0)
+    first = auto_search._by_law(np.array([1e-3]), None, 1e-9, 0.0, 1e3, least=1.0)
     assert (first.lawful, first.estimate) == (True, 1e-3)
-    assert adaptive._by_law(np.array([1e-5]), first, 1e-30, 0.0, 1e3, least=1.0).confirmed
+    assert auto_search._by_law(np.array([1e-5]), first, 1e-30, 0.0, 1e3, least=1.0).confirmed
 
 
 def test_runs_that_lost_each_other_are_as_wrong_as_they_are_apart():
-    first = adaptive._by_law(np.array([1.0]), None, 1e-2, 0.0, 5.0)
+    first = auto_search._by_law(np.array([1.0]), None, 1e-2, 0.0, 5.0)
     assert (first.lawful, first.estimate) == (False, 1.0)
-    second = adaptive._by_law(np.array([0.01]), first, 1e-2, 0.0, 5.0)
+    second = auto_search._by_law(np.array([0.01]), first, 1e-2, 0.0, 5.0)
     assert (second.lawful, second.confirmed, second.estimate) == (True, False, 0.01 / LEAST)
-    strange = adaptive._by_law(np.array([1.0]), second, 1e-2, 0.0, 5.0)
+    strange = auto_search._by_law(np.array([1.0]), second, 1e-2, 0.0, 5.0)
     assert (strange.lawful, strange.estimate) == (False, 1.0)
 
 
 def test_what_two_runs_share_is_a_floor():
-    judged = adaptive._by_law(np.array([0.0]), None, 1e-2, 1e-9, 1.0)
+    judged = auto_search._by_law(np.array([0.0]), None, 1e-2, 1e-9, 1.0)
     assert judged.estimate == 1e-9
     assert isinstance(judged, Judged)
 
 
 def test_what_is_left_of_the_stage_equations_is_multiplied_as_the_error_of_the_steps_is():
     found = SimpleNamespace(stage_tol=1e-12, run=SimpleNamespace(nodes=100))
-    left = [adaptive._left_over(growth, found, 2.0) for growth in (1.0, 1e4)]
+    left = [auto_search._left_over(growth, found, 2.0) for growth in (1.0, 1e4)]
     assert left == pytest.approx([2e-11, 2e-7], rel=1e-3)
 
 

@@ -195,7 +195,7 @@ def test_every_entry_is_documented(ball, tmp_path):
     described = set(re.findall(r"^([a-zA-Z_]+(?:/[a-zA-Z_0-9]+)?) {2,}\(", storage.__doc__, re.MULTILINE))
     stored |= {"discrete_energy"}  # of DTEC's runs, tests/simulation/test_impact_options.py
     stored |= {f"segment/{name}" for name in dense.FIELDS} - {"segment/persistent"}  # of runs with polynomials
-    stored |= {"segment/held"}
+    stored |= {"segment/held", "segmentK/trees"}  # the latter of runs in which groups of bodies are run apart
     stored |= {f"contact/{name}" for name in contacts.FIELDS}  # of runs with contacts
     stored |= {f"change/{name}" for name in contacts.CHANGE_FIELDS} | {f"phase/{name}" for name in ("t", "dt", "held")}
     stored |= {f"dense/{name}" for name in dense_steps.FIELDS}  # of runs with dense steps
