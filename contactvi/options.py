@@ -78,7 +78,8 @@ class Options:
 
     Args:
         dt: time step [s], > 0: all steps have this length. Or "auto": the step is chosen so that q is accurate to
-            `tol`; it is constant between impacts (contactvi.simulation.adaptive). Not with "dtec", inputs or order 2.
+            `tol`; it is constant between impacts (contactvi.simulation.auto_search). Not with "dtec", inputs or
+            order 2.
         duration: simulated time [s]. With a number as dt a whole number of steps: `steps = round(duration / dt)`, and
             an error when duration / dt is further than 1e-9 (relative) from a whole number, because the modified
             Hamiltonian that the integrator conserves belongs to one step length. None where the caller decides step by
@@ -102,8 +103,9 @@ class Options:
         sample_dt: keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends
             of steps: the samples are taken from the polynomials of the steps, see dense.
         dense: keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, with
-            sample_dt and with record="gradient". All bodies are then advanced together: an impact cuts the steps of
-            all. Without, bodies that cannot meet are advanced apart; results differ within the error of the steps.
+            sample_dt and with record="gradient". With a fixed step all bodies are then advanced together: an impact
+            cuts the steps of all. Without, and with dt="auto", bodies that cannot meet are advanced apart; results
+            differ within the error of the steps.
         dt_contact: length of contact steps and dense steps [s], at most dt: both are of order 2 whatever the order. By
             default dt at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a
             number is the longest one allowed. Above order 2 smooth steps of length dt hold persistent contacts and

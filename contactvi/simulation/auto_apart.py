@@ -79,13 +79,26 @@ class Apart:
         for _ in range(_ROUNDS):
             companions = [self._good(search.companion()) for _, search in self._all()]
             if not self._join(companions):
-                found = [search.search() for _, search in self._all()]
-                runs = [self._good(run) for run, _ in found]
+                runs, estimates = self._found(companions)
                 if not self._join(runs):
-                    return self._with_nodes(runs, [estimate for _, estimate in found])
+                    return self._with_nodes(runs, estimates)
             if len(self._groups) == 1:
                 break
         return None
+
+    def _found(self, companions: list[AutoRun]) -> tuple[list[AutoRun], list[float]]:
+        """Return the runs of the groups and their estimated errors, whose squares together are to be those of tol.
+
+        The cheapest is searched for first: most need less than an equal share, and what they leave is for the others.
+        """
+        found: dict[int, tuple[AutoRun, float]] = {}
+        left, searches = self._options.tol**2, self._all()
+        for k in sorted(range(len(companions)), key=lambda k: companions[k].run.sweeps):
+            share = math.sqrt(max(left, 0.0) / (len(companions) - len(found)))
+            run, estimate = searches[k][1].search(share)
+            found[k] = self._good(run), estimate
+            left -= estimate**2
+        return [found[k][0] for k in range(len(found))], [found[k][1] for k in range(len(found))]
 
     def _all(self) -> list[tuple[PartMotion, Search]]:
         """Return the searches of the groups, which are begun where there are none yet."""

@@ -67,6 +67,7 @@ class Search:
         self._motion, self._options, self._progress = motion, options, progress
         self._stages = options.order // 2
         self._level = _clip(_START * math.sqrt(options.tol))  # of the first run after the companion
+        self._allowed = options.tol
         self.seconds = 0.0
         self._runs = 1  # the number of the next one
         self.reason = "Chaotic motion limits it: ask for a shorter duration or a larger tol"
@@ -83,8 +84,13 @@ class Search:
             self._first = self._run(self._level * math.sqrt(COMPANION), step * math.sqrt(COMPANION))
         return self._first
 
-    def search(self) -> tuple[AutoRun, float]:
-        """Return the run and its estimated error; an interrupted run as it is, with NaN."""
+    def search(self, allowed: float | None = None) -> tuple[AutoRun, float]:
+        """Return the run and its estimated error; an interrupted run as it is, with NaN.
+
+        Args:
+            allowed: the error that is asked for [m, rad], by default tol.
+        """
+        self._allowed = self._options.tol if allowed is None else allowed
         companion = self.companion()
         part, judged = 1.0 / math.sqrt(COMPANION), None
         for _ in range(_RUNS):
@@ -98,7 +104,7 @@ class Search:
                 self.reason = f"A run with shorter steps ended early: {self._motion.told(found, self._options)}"
                 return companion, judged.estimate
             judged = self._judge(companion, found, judged)
-            if judged.estimate <= self._options.tol:
+            if judged.estimate <= self._allowed:
                 break
             if found.in_contact:
                 part, reason = self._contact.next_part(found, judged)
@@ -191,7 +197,7 @@ class Search:
 
     def _smooth_part(self, found: AutoRun, judged: Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
-        share = _AIM * self._options.tol / judged.estimate
+        share = _AIM * self._allowed / judged.estimate
         share = min(share, 1.0 / LEAST) if share > 0.0 else 1.0 / COMPANION
         part = math.sqrt(share)
         return _clip(found.level * part) / found.level

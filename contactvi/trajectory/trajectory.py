@@ -70,8 +70,8 @@ class Trajectory(Exports):
         dense_steps: the dense steps and how exactly their law holds (contactvi.records.dense_steps); empty without.
         adaptive_steps: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths
             [s]; else None.
-        error_estimate: with dt="auto", the measured error of q over the run [m, rad] (contactvi.simulation.adaptive);
-            else NaN.
+        error_estimate: with dt="auto", the measured error of q over the run [m, rad]
+            (contactvi.simulation.auto_search); else NaN.
         separation: with start="separate", what was moved of the start that was given (contactvi.Separation); else None,
             and in runs that are read from files.
 

@@ -241,11 +241,11 @@ def test_ctrl_c_keeps_what_all_groups_have_reached(monkeypatch: pytest.MonkeyPat
     whole = cvi.simulate(balls(3), duration=1.0, tol=TOL)
     search, calls = Search.search, []
 
-    def interrupted(self: Search) -> Any:
+    def interrupted(self: Search, allowed: float | None = None) -> Any:
         calls.append(self)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return search(self)
+        return search(self, allowed)
 
     with monkeypatch.context() as patch:
         patch.setattr(Search, "search", interrupted)
