@@ -36,6 +36,7 @@ StatesBetween::StatesBetween(const Scene& scene, const SimulatorOptions& options
                   keeps_constraints(scene.tree, options)),
       servo_(servos_of(scene.tree, run)),
       has_branches_(limits_actuators(scene.tree)),
+      tol_(options.tol),
       p_(scene.tree.nv),
       unused_(scene.tree.nv) {
   integrator_.set_servo(&servo_);
@@ -77,6 +78,7 @@ StatesBetween::Found StatesBetween::find(double time, VecX& q) {
 }
 
 bool StatesBetween::state(double time, VecX& q, VecX& p) {
+  if (!servo_.any && !has_branches_) return paths_.momentum(time, tol_, integrator_, q, p);
   const Found found = find(time, q);
   if (found == Found::kVelocity)
     integrator_.dynamics(q, p_, p, unused_);

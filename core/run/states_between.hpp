@@ -23,7 +23,7 @@ class StatesBetween {
   // By a step from the start of the segment; where contacts persist, and where the step is not solved, from the
   // polynomial. False: the mass matrix is not positive definite.
   bool configuration(double time, VecX& q) { return find(time, q) != Found::kNothing; }
-  // As this, with the momentum.
+  // As this, with the momentum; from the polynomial where that leaves out no more than the tolerance of the steps, too.
   bool state(double time, VecX& q, VecX& p);
 
  private:
@@ -35,6 +35,7 @@ class StatesBetween {
   Integrator integrator_;
   Servo servo_;
   bool has_branches_;
+  double tol_;
   VecX p_;  // the momentum or the velocity that was found last
   VecX unused_;
 };
