@@ -90,12 +90,14 @@ class Apart:
         """Return the runs of the groups and their estimated errors, whose squares together are to be those of tol.
 
         The cheapest is searched for first: most need less than an equal share, and what they leave is for the others.
+        One that cannot have its share takes none of theirs.
         """
         found: dict[int, tuple[AutoRun, float]] = {}
-        left, searches = self._options.tol**2, self._all()
+        left = whole = self._options.tol**2
+        searches = self._all()
         for k in sorted(range(len(companions)), key=lambda k: companions[k].run.sweeps):
-            share = math.sqrt(max(left, 0.0) / (len(companions) - len(found)))
-            run, estimate = searches[k][1].search(share)
+            share = max(left / (len(companions) - len(found)), whole / len(companions))
+            run, estimate = searches[k][1].search(math.sqrt(share))
             found[k] = self._good(run), estimate
             left -= estimate**2
         return [found[k][0] for k in range(len(found))], [found[k][1] for k in range(len(found))]

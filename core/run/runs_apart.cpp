@@ -54,6 +54,13 @@ class PartMotion {
     const double x = std::clamp((time - paths_.start(segment)) / paths_.length(segment), 0.0, 1.0);
     return odometers_[at] + x * (odometers_[at + geometries_] - odometers_[at]);
   }
+  // The center of the bounding ball at the start of a segment, and how far it can have moved since, up to a time.
+  const Vec3& center(int geometry, Eigen::Index segment) const {
+    return centers_[static_cast<std::size_t>(segment) * geometries_ + static_cast<std::size_t>(geometry)];
+  }
+  double moved(int geometry, double time, Eigen::Index segment) const {
+    return odometer(geometry, time, segment) - odometer(geometry, paths_.start(segment), segment);
+  }
   // Enters the configuration at a time in that of the whole scene.
   bool place(double time, VecX& whole) {
     const Eigen::Index segment = paths_.at(time);
@@ -69,6 +76,7 @@ class PartMotion {
   void travel() {
     const std::vector<Geometry>& all = part_->scene.geometries;
     odometers_.assign((static_cast<std::size_t>(paths_.count()) + 1) * geometries_, 0.0);
+    centers_.assign(odometers_.size(), Vec3::Zero());
     VecX bound(part_->scene.tree.nv);
     for (Eigen::Index k = 0; k < paths_.count(); ++k) {
       const StepPath* path = paths_.path(k, integrator_);
@@ -83,10 +91,10 @@ class PartMotion {
         const double motion = placed != nullptr ? guards_.motion_of_geometry(static_cast<int>(g)) : kInfinity;
         odometers_[at + geometries_ + g] = odometers_[at + g] + motion;
         if (all[g].body < 0) continue;
+        Vec3& center = centers_[at + g];
+        center = placed == nullptr ? Vec3::Zero().eval()
+                                   : Vec3(placed->p_W[all[g].body] + placed->R_W[all[g].body] * all[g].center_B);
         const Vec3 reach = Vec3::Constant(motion + (all[g].unbounded ? kInfinity : all[g].radius));
-        const Vec3 center = placed == nullptr
-                                ? Vec3::Zero().eval()
-                                : Vec3(placed->p_W[all[g].body] + placed->R_W[all[g].body] * all[g].center_B);
         low_[g] = low_[g].cwiseMin(center - reach);
         high_[g] = high_[g].cwiseMax(center + reach);
       }
@@ -99,7 +107,9 @@ class PartMotion {
   Integrator integrator_;
   SegmentPaths paths_;
   std::size_t geometries_;
-  std::vector<double> odometers_;  // at the starts of the segments and at the end, geometry by geometry
+  // At the starts of the segments and at the end, geometry by geometry; centers: of the bounding balls.
+  std::vector<double> odometers_;
+  std::vector<Vec3> centers_;
   std::vector<Vec3> low_, high_;
   VecX q_;
 };
@@ -136,20 +146,26 @@ class Meeting {
   }
 
  private:
+  // A lower bound on the distance at a time, that of the bounding balls where it is large, else the distance.
   double distance_at(int guard, const Traveller& a, const Traveller& b, double t) {
-    if (!a.motion->place(t, q_) || !b.motion->place(t, q_)) return -kInfinity;
-    guards_.place(q_);
-    const Placements& at = guards_.placements(guard);
     const Pair& pair = whole_->pairs[static_cast<std::size_t>(guard)];
-    const auto center = [&](int g) {
-      const Geometry& geometry = whole_->geometries[static_cast<std::size_t>(g)];
-      return Vec3(at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B);
-    };
     const auto radius = [&](int g) {
       const Geometry& geometry = whole_->geometries[static_cast<std::size_t>(g)];
       return geometry.unbounded ? kInfinity : geometry.radius;
     };
-    const double radii = radius(pair.a) + radius(pair.b), balls = (center(pair.a) - center(pair.b)).norm() - radii;
+    const double radii = radius(pair.a) + radius(pair.b);
+    const Eigen::Index ka = a.motion->segment(t), kb = b.motion->segment(t);
+    const double apart = (a.motion->center(a.geometry, ka) - b.motion->center(b.geometry, kb)).norm() - radii -
+                         a.motion->moved(a.geometry, t, ka) - b.motion->moved(b.geometry, t, kb);
+    if (apart > kFar * radii) return apart;
+    if (!a.motion->place(t, q_) || !b.motion->place(t, q_)) return -kInfinity;
+    guards_.place(q_);
+    const Placements& at = guards_.placements(guard);
+    const auto center = [&](int g) {
+      const Geometry& geometry = whole_->geometries[static_cast<std::size_t>(g)];
+      return Vec3(at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B);
+    };
+    const double balls = (center(pair.a) - center(pair.b)).norm() - radii;
     if (balls > kFar * radii) return balls;
     Contact contact;
     return guards_.evaluate_witness(guard, contact);
