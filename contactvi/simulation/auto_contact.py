@@ -28,7 +28,7 @@ _LONGEST = 2e-2  # [s]
 _STEP = 0.9  # [s] step in contact / root of tol to begin with: about 1e-3 s for tol = 1e-6,
 _TOLS = (1e-6, 1e-4)  # [m, rad] and as for these beyond them
 _AIM = 0.3  # of tol: what the law is to give; a margin costs in proportion
-_FARTHER = 3.0  # times the distance of two runs that follow no law: their error may be as large
+FARTHER = 3.0  # times the distance of two runs that follow no law: their error may be as large
 _STRAYS = 2  # pairs of runs on the same motion that do not follow the law: then it is given up
 _HALF = 0.5  # part of the steps of a run with which it is looked whether the law holds
 # Contact iterations of all runs together over those of one run with steps of 1e-3 s (of dt_contact, if that is
@@ -135,7 +135,7 @@ def judge_contact(
         confirmed = lawful and before.lawful
     estimate = distance
     if before is not None and not lawful:  # how far two runs of such a motion are apart is a matter of chance
-        estimate = max(estimate, min(largest(before.apart), _FARTHER * distance))
+        estimate = max(estimate, min(largest(before.apart), FARTHER * distance))
     strays = (before.strays if before is not None else 0) + int(follows and not lawful)
     by_law = distance * max(ratio, 1.0 / LEAST)
     return Judged(max(floor, estimate), by_law, apart, ratio, lawful, confirmed, strays)

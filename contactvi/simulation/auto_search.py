@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +33,16 @@ from numpy.typing import NDArray
 
 from contactvi.options import STAGE_TOLS, Options
 from contactvi.simulation import auto_runs, engine
-from contactvi.simulation.auto_contact import COMPANION, LEAST, LOST, SHORTEST, ContactSearch, Judged, judge_contact
+from contactvi.simulation.auto_contact import (
+    COMPANION,
+    FARTHER,
+    LEAST,
+    LOST,
+    SHORTEST,
+    ContactSearch,
+    Judged,
+    judge_contact,
+)
 from contactvi.simulation.auto_motion import Motion
 from contactvi.simulation.auto_runs import AutoRun, largest
 
@@ -91,7 +101,7 @@ class Search:
             allowed: the error that is asked for [m, rad], by default tol.
         """
         self._allowed = self._options.tol if allowed is None else allowed
-        companion = self.companion()
+        companion, earlier = self.companion(), None
         part, judged = 1.0 / math.sqrt(COMPANION), None
         for _ in range(_RUNS):
             if companion.final:  # or it ended where it started
@@ -104,6 +114,8 @@ class Search:
                 self.reason = f"A run with shorter steps ended early: {self._motion.told(found, self._options)}"
                 return companion, judged.estimate
             judged = self._judge(companion, found, judged)
+            if earlier is not None and not judged.lawful:
+                judged = self._unlike_its_companion(earlier, found, judged)
             if judged.estimate <= self._allowed:
                 break
             if found.in_contact:
@@ -113,7 +125,7 @@ class Search:
                 part = self._smooth_part(found, judged)
             if part >= 1.0:
                 break
-            companion = found
+            companion, earlier = found, companion
         assert judged is not None
         return found, judged.estimate
 
@@ -194,6 +206,16 @@ class Search:
         # of either. Two runs are then no proof of a law, and their whole distance counts.
         least = 1.0 if found.touched else 1.0 / LEAST
         return _by_law(apart, before, ratio, max(floor, _left_over(self._growth, found, size)), size, least)
+
+    def _unlike_its_companion(self, earlier: AutoRun, found: AutoRun, judged: Judged) -> Judged:
+        """Judge a run anew that does not follow the law, by the run before its companion, where it is nearer to that.
+
+        Two runs with other steps that go one way where a third goes another one are nearer to the motion than to that.
+        How far two runs without a law are apart is a matter of chance, and more of their distance counts.
+        """
+        apart = FARTHER * largest(auto_runs.distances(earlier, found, ended=not found.ok))
+        floor = max(self._floor(found)[0], found.run.first_step_error)
+        return replace(judged, estimate=min(judged.estimate, max(apart, floor)))
 
     def _smooth_part(self, found: AutoRun, judged: Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -315,3 +316,14 @@ def test_what_is_left_of_the_stage_equations_is_multiplied_as_the_error_of_the_s
 
 def test_the_kept_run_belongs_to_the_engine():
     assert isinstance(made(flying_box()), _core.KeptRun)
+
+
+@pytest.mark.parametrize(("nearer", "estimate"), [(1e-8, 3e-8), (1e-11, 1e-8), (1e-4, 1e-5)])
+def test_a_companion_that_went_another_way_is_left_out(monkeypatch, nearer, estimate):
+    """A run that follows no law is judged by the run before its companion where that is nearer, and by the floor."""
+    search = auto_search.Search(cast(Any, None), cvi.Options(dt="auto", duration=1.0, tol=1e-6), None)
+    run = SimpleNamespace(size=1.0, nodes=100, first_step_error=0.0)
+    found = cast(Any, SimpleNamespace(ok=True, level=1e-7, run=run))
+    judged = Judged(1e-5, 1e-5, np.array([1e-5]), 0.3)
+    monkeypatch.setattr(auto_search.auto_runs, "distances", lambda *runs, ended: np.array([nearer, 0.1 * nearer]))
+    assert search._unlike_its_companion(found, found, judged).estimate == pytest.approx(estimate)
