@@ -363,6 +363,23 @@ def robot_walks(rng: Rng) -> Motion:
     return Motion(motions[0].scene, motions[0].q, motions[0].v, 0.2, steady=motions[1].scene)
 
 
+def bodies_apart(rng: Rng) -> Motion:
+    """Balls and boxes on a ground, some of which meet."""
+    scene, count = cvi.Scene(), int(rng.integers(3, 6))
+    scene.add_halfspace()
+    scene.set_contact(restitution=rng.uniform(0.0, 0.8), friction=rng.uniform(0.1, 0.6))
+    v = np.zeros(6 * count)
+    for k in range(count):
+        x, y = 0.7 * (k % 2) + rng.uniform(-0.1, 0.1), 0.7 * (k // 2) + rng.uniform(-0.1, 0.1)
+        if rng.random() < 0.7:
+            scene.add_sphere(f"body_{k}", radius=0.1, placement=(x, y, 0.1 + rng.choice([0.0, rng.uniform(0.0, 0.4)])))
+            v[6 * k + 3 : 6 * k + 6] = rng.uniform(-5.0, 5.0, 3)
+        else:
+            scene.add_box(f"body_{k}", (0.2, 0.15, 0.1), placement=(x, y, 0.05))
+        v[6 * k : 6 * k + 2] = rng.uniform(-1.0, 1.0, 2)
+    return Motion(scene, scene.neutral(), v, rng.uniform(0.3, 0.8))
+
+
 FAMILIES: dict[str, Callable[[Rng], Motion]] = {
     "turning slip": turning_slip, "box slides": box_slides, "point on a sphere": point_on_sphere,
     "rod on its tip": rod_on_tip, "block on a belt": block_on_belt, "coin rolls": rolling_coin,
@@ -371,7 +388,7 @@ FAMILIES: dict[str, Callable[[Rng], Motion]] = {
     "servos press": servos_press, "limp arm": limp_arm, "four-bar": four_bar, "mimic hand": mimic_hand,
     "pendulum at a wall": pendulum_at_wall, "robot stands": robot_stands, "robot falls": robot_falls,
     "ball into a hand": ball_into_hand, "force in time": wrench_in_time, "shaken table": shaken_table,
-    "servos move": servos_move, "robot walks": robot_walks,
+    "servos move": servos_move, "robot walks": robot_walks, "bodies apart": bodies_apart,
 }  # fmt: skip
 
 
