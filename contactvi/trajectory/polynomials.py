@@ -96,6 +96,13 @@ class SegmentsApart:
 
     def __init__(self, parts: Sequence[tuple[tuple[int, ...], Segments]]) -> None:
         self.parts = list(parts)
+        self._scenes: tuple[_core.Scene, list[_core.ScenePart]] | None = (
+            None  # of the parts, and what they are parts of
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle keeps: the parts."""
+        return SegmentsApart, (self.parts,)
 
     def __len__(self) -> int:
         return sum(len(segments) for _, segments in self.parts)
@@ -116,12 +123,19 @@ class SegmentsApart:
     def _of_all(
         self, core: _core.Scene, times: Array, find: Callable[[Segments, _core.Scene], tuple[Array, Array]]
     ) -> tuple[Array, Array]:
-        trees = static_trees(core)
         q, v = np.zeros((len(times), core.nq)), np.zeros((len(times), core.nv))
-        for chosen, segments in self.parts:
-            part = trees.part(list(chosen))
+        for part, (_, segments) in zip(self._scenes_of(core), self.parts, strict=True):
             q[:, part.q], v[:, part.v] = find(segments, part.scene)
         return q, v
+
+    def _scenes_of(self, core: _core.Scene) -> list[_core.ScenePart]:
+        if self._scenes is not None and self._scenes[0] is core:
+            return self._scenes[1]
+        trees = static_trees(core)
+        scenes = [trees.part(list(chosen)) for chosen, _ in self.parts]
+        if not core.calls_functions:  # else they are not kept: functions may hold the run, which no collector would see
+            self._scenes = core, scenes
+        return scenes
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int, tol: float) -> Segments | None:

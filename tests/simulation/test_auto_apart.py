@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -211,8 +212,9 @@ def test_a_stored_run_has_the_same_states(tmp_path: Path) -> None:
     again = cvi.Trajectory.load(tmp_path / "run.npz")
     assert groups(again) == groups(traj)
     times = np.linspace(0.0, 1.0, 23)
-    for name in ("q", "v", "p"):
-        np.testing.assert_array_equal(getattr(again.at(times), name), getattr(traj.at(times), name))
+    for other in (again, pickle.loads(pickle.dumps(traj))):
+        for name in ("q", "v", "p"):
+            np.testing.assert_array_equal(getattr(other.at(times), name), getattr(traj.at(times), name))
 
 
 def test_the_energy_balances_at_all_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
