@@ -20,19 +20,25 @@ import contactvi as cvi
 GAP = 3.0  # [m] between bodies
 DURATION = 1.0  # [s]
 Start = tuple[float, np.ndarray]  # height [m], velocity (6,)
-Add = Callable[[cvi.Scene, int, float, Start], object]
+Placed = tuple[object, np.ndarray]  # a body and its velocity
+Add = Callable[[cvi.Scene, int, float, Start], Placed]
 
 
-def ball(scene: cvi.Scene, k: int, x: float, start: Start) -> object:
-    return scene.add_sphere(f"ball {k}", 0.1, 1.0, placement=(x, 0.0, 0.1 + start[0]))
+def ball(scene: cvi.Scene, k: int, x: float, start: Start) -> Placed:
+    return scene.add_sphere(f"ball {k}", 0.1, 1.0, placement=(x, 0.0, 0.1 + start[0])), start[1]
 
 
-def still(scene: cvi.Scene, k: int, x: float, start: Start) -> object:
-    return scene.add_sphere(f"ball {k}", 0.1, 1.0, placement=(x, 0.0, 0.1 if k else 0.1 + start[0]))
+def still(scene: cvi.Scene, k: int, x: float, start: Start) -> Placed:
+    """The first one bounces."""
+    return ball(scene, k, x, (0.0, np.zeros(6)) if k else start)
 
 
-def box(scene: cvi.Scene, k: int, x: float, start: Start) -> object:
-    return scene.add_box(f"box {k}", (0.2, 0.3, 0.1), 1.0, placement=(x, 0.0, 0.05))
+def box(scene: cvi.Scene, k: int, x: float, start: Start) -> Placed:
+    v = np.array([2.0 * start[1][0], start[1][1], 0.0, 0.0, 0.0, 0.0])
+    return scene.add_box(f"box {k}", (0.2, 0.3, 0.1), 1.0, placement=(x, 0.0, 0.05)), v
+
+
+KINDS: dict[str, Add] = {"ball": ball, "box": box, "still": still}
 
 
 def made(kind: str, starts: list[Start], which: list[int]) -> cvi.Scene:
@@ -42,18 +48,10 @@ def made(kind: str, starts: list[Start], which: list[int]) -> cvi.Scene:
     scene.set_contact(restitution=0.5, friction=0.3)
     speeds = {}
     for k in which:
-        body = KINDS[kind](scene, k, GAP * k, starts[k])
-        v = starts[k][1]
-        if kind == "still" and k:
-            v = np.zeros(6)
-        if kind == "box":
-            v = np.array([2.0 * v[0], v[1], 0.0, 0.0, 0.0, 0.0])
+        body, v = KINDS[kind](scene, k, GAP * k, starts[k])
         speeds[body] = (v[:3], v[3:])
     scene.v0 = scene.velocity(speeds)
     return scene
-
-
-KINDS: dict[str, Add] = {"ball": ball, "box": box, "still": still}
 
 
 def timed(scene: cvi.Scene, tol: float, repeats: int) -> tuple[float, cvi.Trajectory]:

@@ -57,9 +57,10 @@ class Apart:
     def search(self) -> Parts | None:
         """Return the runs of the groups; None where all bodies are to be run together."""
         options = self._options
-        alone = options.impact != "ctec" or options.ledger or self._trees.guards == 0
-        if self._trees.count < 2 or alone:
+        undivided = options.impact != "ctec" or options.ledger or self._trees.guards == 0
+        if self._trees.count < 2 or undivided:
             return None
+        # The start is looked at as a whole: it may be refused.
         self._motion.release(self._motion.started(options, 1.0, options.contact_dt), options, 1.0, options.contact_dt)
         self._groups = [(tree,) for tree in range(self._trees.count)]
         try:

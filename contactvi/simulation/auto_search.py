@@ -132,6 +132,7 @@ class Search:
     def ended_at(self, found: AutoRun, times: Sequence[float]) -> tuple[AutoRun, float]:
         """Return a run with the steps of another one, cut at these times [s], and its distance from that one."""
         simulator = self._motion.started(self._options, found.stage_tol / self._options.stage_tol, found.dt_contact)
+        # The level is that of a companion, as in all runs whose steps are given, so that it shortens none of them.
         taken = engine.run_auto(
             simulator, self._options.span, math.sqrt(COMPANION) * found.level, self._progress, found.run, 1.0, 0.0,
             self._runs, self._motion.references(), times,

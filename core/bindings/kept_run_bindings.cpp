@@ -182,10 +182,8 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
       " coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are"
       " nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end"
-      " of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). ends: ascending times [s] at "
-      "which"
-      " steps end, too. Return (KeptRun, error of a "
-      "callback or None).");
+      " of its step. target: references of servos, (1, 2 nv), or a function t -> (2 nv,). ends: ascending times [s] at"
+      " which steps end, too. Return (KeptRun, error of a callback or None).");
 }
 
 }  // namespace contactvi

@@ -13,7 +13,8 @@
 #include "bindings/kept_run.hpp"
 #include "geometry/prepare.hpp"
 #include "model/static_trees.hpp"
-#include "run/runs_apart.hpp"
+#include "run/joined_runs.hpp"
+#include "run/meetings.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -31,7 +32,7 @@ struct Part {
   std::unique_ptr<SubScene> numbers;
 };
 
-// A scene that calls functions of the user is kept alive by what refers to a part of it; the part has copies.
+// The part has copies of all that it takes from the whole scene.
 Part part_of(const Division& division, std::vector<int> chosen) {
   std::sort(chosen.begin(), chosen.end());
   const bool known = !chosen.empty() && chosen.front() >= 0 && chosen.back() < division.trees.count() &&
@@ -85,9 +86,8 @@ void expose_runs_apart(nb::module_& m) {
           " alone; all others are certain to have stayed apart.")
       .def(
           "joined",
-          [](nb::handle self, const std::vector<const Part*>& parts, const std::vector<const OwnRun*>& runs,
+          [](const Division& division, const std::vector<const Part*>& parts, const std::vector<const OwnRun*>& runs,
              std::size_t leader) {
-            const Division& division = nb::cast<const Division&>(self);
             OwnRun whole{KeptRun(), division.scene, runs.empty() ? SimulatorOptions() : runs.front()->options,
                          nb::find(*division.scene), false};
             const std::vector<PartRun> own = paired(parts, runs);

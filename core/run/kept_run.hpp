@@ -21,6 +21,12 @@ struct KeptRun {
   }
 };
 
+// A run of a part of the scene.
+struct PartRun {
+  const SubScene* part;
+  const KeptRun* run;
+};
+
 // The segments of a recording, as those who read them take them.
 SegmentArrays arrays_of(const Segments& segments);
 // When the impacts of a recording were [s].

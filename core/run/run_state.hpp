@@ -100,6 +100,8 @@ struct EngineCounters {
   ContactStepCounters contact;
   DenseStepCounters dense;
 };
+// Adds what a part of the scene has counted: impacts, halved steps, what actuators and ropes did, time in contact.
+void add_counts(const RunState& part, RunState& sum);
 void sum_up(const EngineCounters& part, EngineCounters& sum);
 
 struct Snapshot {

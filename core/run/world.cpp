@@ -26,24 +26,6 @@ void add(const Simulator& engine, EngineCounters& sum) {
 
 }  // namespace
 
-void sum_up(const EngineCounters& part, EngineCounters& sum) {
-  sum.steps.steps += part.steps.steps;
-  sum.steps.stage_iterations += part.steps.stage_iterations;
-  sum.steps.factorizations += part.steps.factorizations;
-  sum.guards.evaluated += part.guards.evaluated;
-  sum.guards.skipped += part.guards.skipped;
-  sum.contact.steps += part.contact.steps;
-  sum.contact.contact_iterations += part.contact.contact_iterations;
-  sum.contact.problems += part.contact.problems;
-  sum.contact.iterations += part.contact.iterations;
-  sum.contact.fallbacks += part.contact.fallbacks;
-  sum.dense.problems += part.dense.problems;
-  sum.dense.sweeps += part.dense.sweeps;
-  sum.dense.factorizations += part.dense.factorizations;
-  sum.dense.gap_iterations += part.dense.gap_iterations;
-  sum.dense.passes += part.dense.passes;
-}
-
 World::World(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),
       options_(options),
@@ -320,14 +302,8 @@ void World::accept(double t, double length, Recording& recording) {
     island->gather(q1_, p1_);
     RunState& part = island->engine().state();
     state_.work.take(part.work, island->numbers().reactions);
-    state_.impacts += part.impacts;
+    add_counts(part, state_);
     state_.dense_steps += static_cast<long>(island->recording().dense.size());
-    state_.control.halved += part.control.halved;
-    state_.actuators.saturated += part.actuators.saturated;
-    state_.switches.located += part.switches.located;
-    state_.switches.jumps += part.switches.jumps;
-    state_.switches.held += part.switches.held;
-    state_.contact_seconds += part.contact_seconds;
     island->engine().forget_counts();
   }
   merge_recordings(t, length, recording);

@@ -82,11 +82,11 @@ def test_bodies_that_do_not_meet_move_as_alone() -> None:
 
 
 def test_the_work_is_that_of_the_bodies_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Together each impact cuts the steps of all, so that the work grows with the square of the number of bodies."""
-    few, many = (cvi.simulate(balls(count), duration=1.0, tol=1e-6).stats for count in (8, 32))
-    assert many.stage_iterations < 5.0 * few.stage_iterations
-    all_cut = together(monkeypatch, balls(32), 1.0, tol=1e-6).stats
-    assert all_cut.steps > 2 * many.steps / 32.0
+    """It is the sum over the bodies. Together each impact cuts the steps of all; an iteration is then one of all."""
+    apart = cvi.simulate(balls(32), duration=1.0, tol=1e-6).stats
+    cut = together(monkeypatch, balls(32), 1.0, tol=1e-6).stats
+    assert cut.impacts == apart.impacts
+    assert 32 * cut.stage_iterations > 10 * apart.stage_iterations
 
 
 def test_bodies_that_meet_are_run_together(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +118,7 @@ def test_paths_that_cross_at_other_times_do_not_meet() -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_no_meeting_is_missed(seed: int) -> None:
-    """The certain answer against distances at many times, of bodies of all shapes that fly through each other."""
+    """The certain answer against distances at many times, of balls, boxes and capsules that fly through each other."""
     rng = np.random.default_rng(seed)
     scene = cvi.Scene()
     scene.add_halfspace(offset=-50.0)
@@ -169,8 +169,8 @@ def test_no_meeting_is_missed(seed: int) -> None:
             assert gap < 0.02, (one, other, gap)  # what moves between two of the times looked at
 
 
-def test_servos_coupled_joints_and_loops_of_parts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Fingers of a hand with a fixed base: work, reactions, energies are those of one run with all."""
+def test_servos_and_coupled_joints_of_parts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Fingers of a hand with a fixed base: work and energies are those of one run with all."""
     scene = scene_of(limited(hand(), "f0j0", -0.3, 0.45), tmp_path)
     leaders = [f"f{k}j0" for k in range(5)]
     for k, name in enumerate(leaders):
@@ -181,11 +181,11 @@ def test_servos_coupled_joints_and_loops_of_parts(monkeypatch: pytest.MonkeyPatc
     reference = together(monkeypatch, scene, 0.5, tol=1e-9, target=goals)
     at = reference.at(traj.t)
     assert distance(scene, traj.q, at.q) < 2 * TOL
-    np.testing.assert_allclose(traj.v, at.v, atol=1e-4)
-    assert np.abs(traj.ledger.energy_balance).max() < 1e-7
+    np.testing.assert_allclose(traj.v[-1], reference.v[-1], atol=TOL)
+    assert np.abs(traj.ledger.energy_balance).max() < 1e-3 * TOL
     assert np.ptp(traj.work.input) > 1e-3
-    np.testing.assert_allclose(traj.work.input[-1], reference.work.input[-1], atol=1e-7)
-    np.testing.assert_allclose(traj.work.damping[-1], reference.work.damping[-1], atol=1e-7)
+    np.testing.assert_allclose(traj.work.input[-1], reference.work.input[-1], atol=TOL)
+    np.testing.assert_allclose(traj.work.damping[-1], reference.work.damping[-1], atol=TOL)
 
 
 def test_reactions_of_loops_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
