@@ -266,7 +266,6 @@ class NotDifferentiable(ContactviError):
 
     - of a step: "impact", "contact", "saturation" of an actuator, "step" whose equations were not solved, or that is
       made in parts; of an acceleration: "contact", "constraint" (a screw, joint friction);
-    - of anything: "constraint" (a prescribed pose);
     - of an impact: "grazing", "simultaneous" with others, "witness" (several nearest points), "friction" at its limit,
       "restitution" that was lowered, "map" (an implicit map without an answer), "start" (at the first instant), "time"
       (a force that changes with it);

@@ -15,12 +15,14 @@ constraints depend on each other lambda is that of least norm.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.elements.pose_signals import PoseSignal
 from contactvi.errors import NotDifferentiable
 from contactvi.scene.build import Built
 from contactvi.scene.dynamics import bias_forces
@@ -100,7 +102,7 @@ def constrained_accelerations(
     a, forces = solve(free, -still.acceleration)
     rows = _all_rows(built, q, v, a, t)
     needed_q, needed_v = map(np.asarray, built.engine.model.motion(q, v, a).force_derivatives())
-    turned = _turned_forces(built, q, forces)
+    turned = _turned_forces(built, q, t, forces)
     by_q = solve(inverse @ (force_q + turned - needed_q), -rows.by_q)[0]
     by_v = solve(inverse @ (force_v - needed_v), -rows.by_v)[0]
     return Accelerations(a, by_q, by_v, solve(inverse, np.zeros((len(forces), nv)))[0])
@@ -141,7 +143,7 @@ def _joined(row: ConstraintRow) -> list[Joined]:
     """
     x, y, z = np.eye(3)
     held: list[tuple[Array, Array]] = [(np.zeros(3), np.eye(3))]
-    if row.engine_kind == "weld":
+    if row.engine_kind in ("weld", "pose"):
         held += [(ARM * x, np.array([y, z])), (ARM * y, np.array([z]))]
     elif row.engine_kind == "screw":
         held += [(ARM * z, np.array([x, y]))]
@@ -149,6 +151,19 @@ def _joined(row: ConstraintRow) -> list[Joined]:
     return [
         Joined(Point(joint_a, p_a + R_a @ arm), Point(joint_b, p_b + R_b @ arm), along @ R_a.T) for arm, along in held
     ]
+
+
+def _placed(row: ConstraintRow, t: float) -> ConstraintRow:
+    """Return the constraint with the frame of a that a prescribed pose gives it."""
+    return row if row.pose is None else replace(row, a=(0, row.pose(t).rotation, row.pose(t).position))
+
+
+def _frame_acceleration(motion: PoseSignal, point: Point, t: float) -> Array:
+    """Return that of a point of the world that moves with a prescribed pose, (3,)."""
+    frame, acceleration = motion(t), motion.acceleration(t)
+    arm = point.place - frame.position
+    turning = np.cross(acceleration[3:], arm) + np.cross(frame.angular_velocity, np.cross(frame.angular_velocity, arm))
+    return np.asarray(acceleration[:3] + turning)
 
 
 def _apart(tree: _core.TreeMotion, joined: Joined) -> PointMotion:
@@ -173,10 +188,11 @@ def _rows(model: pin.Model, tree: _core.TreeMotion, row: ConstraintRow, q: Array
         return _joint_rows(model, row, q, v, a, t)
     if row.engine_kind != "distance":
         found = []
-        for joined in _joined(row):
+        for joined in _joined(_placed(row, t)):
             # Nothing moves apart, so that it does not count that the directions turn.
             d, along = _apart(tree, joined), _directions(tree, joined)
-            found.append([along @ part for part in (d.J, d.acceleration, d.acceleration_q, d.acceleration_v)])
+            apart = d.acceleration if row.pose is None else d.acceleration - _frame_acceleration(row.pose, joined.a, t)
+            found.append([along @ part for part in (d.J, apart, d.acceleration_q, d.acceleration_v)])
         return Rows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
     # d . d'' + d' . d' = L'^2 + L L'', half of the second derivative of d . d.
     d = _apart(tree, _joined(row)[0])
@@ -205,7 +221,7 @@ def _joint_rows(model: pin.Model, row: ConstraintRow, q: Array, v: Array, a: Arr
     return Rows(J, np.array([a[joint] - slope * a[other] - bend * v[other] ** 2]), by_q, by_v)
 
 
-def _turned_forces(built: Built, q: Array, forces: Array) -> Array:
+def _turned_forces(built: Built, q: Array, t: float, forces: Array) -> Array:
     """Return d(J^T lambda)/dq at a constant lambda, shape (nv, nv)."""
     model = built.model
     T, still = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
@@ -218,7 +234,7 @@ def _turned_forces(built: Built, q: Array, forces: Array) -> Array:
                 T[other, other] -= forces[first] * float(np.polynomial.Polynomial(row.numbers).deriv(2)(at))
             first += 1
             continue
-        for joined in _joined(row):
+        for joined in _joined(_placed(row, t)):
             if row.engine_kind == "distance":
                 d = _apart(tree, joined)
                 T += forces[first] * d.J.T @ d.J

@@ -35,6 +35,7 @@ from contactvi.inputs import pose, real_numbers, short
 Array = NDArray[np.float64]
 
 _STEP = 1e-4  # [s] distance of the points of differences, as of a Signal
+_BESIDE = 3e-4  # [s] the same, of differences of velocities
 _JUMP = 100.0  # ratio of one slope to the sum of the others from which a function jumps
 _SLOW = 1e-3  # [m/s, rad/s] slope below which no function is said to jump
 _HALF_TURN = 1e-6  # [rad] by which two rotations are less than half a turn apart, so that the shorter way is known
@@ -106,6 +107,11 @@ class PoseSignal:
             known = self._call(t)
             self._last = t, known
         return known
+
+    def acceleration(self, t: float) -> Array:
+        """Return the linear and the angular acceleration at t [s], (6,), by differences of the velocity."""
+        around = [np.concatenate(self._call(t + k * _BESIDE)[2:]) for k in (-2, -1, 1, 2)]
+        return (around[0] - 8.0 * around[1] + 8.0 * around[2] - around[3]) / (12.0 * _BESIDE)
 
     def gives_velocity(self, t: float) -> bool:
         """Return whether a function of the user gives a velocity beside the pose at t [s]."""

@@ -23,8 +23,8 @@ class RunInputs:
     Attributes:
         control: generalized forces, Pinocchio's coordinates, shape (steps, nv) [N, N m]; None where none were given.
         target: references of the servos, positions by dof and then velocities, shape (steps, 2 nv); None without.
-        saturated: steps through whose actuators and ropes there are no derivatives: actuators at their limits beside
-            contact, or at those of speed, and ropes with dampers that became taut.
+        saturated: steps through whose actuators and ropes there are no derivatives: actuators at their limits in
+            contact steps and dense steps, or at those of speed, and ropes with dampers that became taut.
         contact_steps: those with persistent contacts and dense ones, one contactvi._core.KeptContactSteps per call of
             the engine.
         stored_steps, stored_blocks, stored_dense, stored_held: those of earlier calls, read from a file or a pickle, as

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.elements.constraints import PrescribedPose
 from contactvi.elements.forces import UserForce, UserPotential
 from contactvi.errors import (
     ConstraintError,
     DerivativeError,
     InputError,
-    NotDifferentiable,
     SceneError,
     UntestedPairWarning,
     UserFunctionError,
@@ -245,15 +243,8 @@ class CompiledScene:
 
         Raises:
             DerivativeError: a function of the user came without derivatives.
-            NotDifferentiable: a pose is prescribed.
         """
         for element in self._scene.elements:
-            if isinstance(element, PrescribedPose):
-                raise NotDifferentiable(
-                    "A run with a body whose pose is prescribed has no derivatives that are known", reason="constraint",
-                    expected="constraints whose gradients do not depend on time", got=element.name,
-                    remedy="Prescribe joints that move the body",
-                )  # fmt: skip
             given = element.derivatives if isinstance(element, UserForce) else True
             given = element.hessian if isinstance(element, UserPotential) else given
             if given is None:

@@ -1,6 +1,6 @@
 #include "model/constraint_tangent.hpp"
 
-#include "base/refusal.hpp"
+#include "base/differences.hpp"
 #include "base/tolerances.hpp"
 #include "model/moving_frame.hpp"
 #include "model/point_jacobian.hpp"
@@ -10,19 +10,24 @@ namespace contactvi {
 namespace {
 
 const Vec3 kNone = Vec3::Zero();
+constexpr double kTimeStep = 3e-4;  // [s] of differences of the velocity of a frame that the user moves
 
 // One constraint's rows while their changes are written.
 struct Rows {
   const BodyTwists& twists;
   const Constraint& c;
+  const FrameMotion* frame;  // of a, where the user moves it; else null
+  double dt;
   Eigen::Ref<MatX> dW;
   int row;
 
   Vec3 point_a() const { return world_point(twists.placements(), c.a.body, c.a.p_B); }
   Vec3 point_b() const { return world_point(twists.placements(), c.b.body, c.b.p_B); }
-  Mat3 axes_a() const { return world_axes(twists.placements(), c.a.body, c.a.R_B); }
+  Mat3 axes_a() const {
+    return frame != nullptr ? frame->R_W : Mat3(world_axes(twists.placements(), c.a.body, c.a.R_B));
+  }
   Mat3 axes_b() const { return world_axes(twists.placements(), c.b.body, c.b.R_B); }
-  Vec3 turn_a() const { return twists.turn(c.a.body); }
+  Vec3 turn_a() const { return frame != nullptr ? Vec3(dt * frame->omega_W) : twists.turn(c.a.body); }
   Vec3 turn_b() const { return twists.turn(c.b.body); }
 
   // Velocity along n of the point of `body` that is now at x, which is fixed to the body `with`.
@@ -112,12 +117,10 @@ ConstraintTangent::ConstraintTangent(const Tree& tree)
       phi_(tree.elements.constraint_rows),
       rate_(tree.elements.constraint_rows),
       acceleration_(tree.elements.constraint_rows),
-      W_(tree.nv, tree.elements.constraint_rows) {
-  for (const Constraint& c : tree.elements.constraints)
-    if (moving_frame(c))
-      throw Refusal("'" + c.name + "' has no derivatives that are known",
-                    "constraints whose gradients do not depend on time", "the prescribed pose of a body",
-                    "Prescribe the joints that move the body");
+      W_(tree.nv, tree.elements.constraint_rows),
+      W_rate_(MatX::Zero(tree.nv, tree.elements.constraint_rows)),
+      frames_(tree.elements.constraints.size()) {
+  for (const Constraint& c : tree.elements.constraints) any_frame_ |= moving_frame(c) != nullptr;
 }
 
 void ConstraintTangent::take(const VecCRef& q, double t) {
@@ -125,15 +128,52 @@ void ConstraintTangent::take(const VecCRef& q, double t) {
   twists_.place(q);
   evaluate_constraints(*tree_, twists_.placements(), q, t, phi_, W_, rate_);
   acceleration_.setZero();
-  for (const Constraint& c : tree_->elements.constraints)
-    if (c.signal) acceleration_[c.row] = -c.signal(t)[2];
+  const std::vector<Constraint>& all = tree_->elements.constraints;
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    if (moving_frame(all[k]) != nullptr)
+      take_frame(all[k], t, frames_[k]);
+    else if (all[k].signal)
+      acceleration_[all[k].row] = -all[k].signal(t)[2];
+  }
+  if (any_frame_) change(VecX::Zero(tree_->nv), 1.0, W_rate_);
 }
 
-void ConstraintTangent::change(const VecCRef& dq, Eigen::Ref<MatX> dW) {
+// The motion of the frame, and the second derivatives of the residuals by time: with the angular velocity Omega of b
+// relative to the frame, in its axes, those of 2 vec are (w - vec x) Omega' + (w' - vec' x) Omega.
+void ConstraintTangent::take_frame(const Constraint& c, double t, Frame& frame) {
+  const MovingFrame& moving = *moving_frame(c);
+  frame = {moving.at(t), kNone, kNone};
+  for (const auto& [count, weight] : kDifference) {
+    const FrameMotion near = moving.at(t + count * kTimeStep);
+    frame.a_W += weight / (kDifferenceParts * kTimeStep) * near.v_W;
+    frame.alpha_W += weight / (kDifferenceParts * kTimeStep) * near.omega_W;
+  }
+  const FrameMotion& at = frame.at;
+  const Vec3 d = world_point(twists_.placements(), c.b.body, c.b.p_B) - at.p_W, speed = at.v_W + at.omega_W.cross(d),
+             rest = frame.a_W + frame.alpha_W.cross(d) - at.omega_W.cross(at.v_W);
+  for (int k = 0; k < 3; ++k)
+    acceleration_[c.row + k] = -at.omega_W.cross(at.R_W.col(k)).dot(speed) - at.R_W.col(k).dot(rest);
+  Quat turn(Mat3(at.R_W.transpose() * world_axes(twists_.placements(), c.b.body, c.b.R_B)));
+  if (turn.w() < 0.0) turn.coeffs() = -turn.coeffs();
+  const Vec3 omega = -(at.R_W.transpose() * at.omega_W), alpha = -(at.R_W.transpose() * frame.alpha_W),
+             dvec = 0.5 * (turn.w() * omega - turn.vec().cross(omega));
+  acceleration_.segment<3>(c.row + 3) =
+      turn.w() * alpha - turn.vec().cross(alpha) - 0.5 * turn.vec().dot(omega) * omega - dvec.cross(omega);
+}
+
+VecX ConstraintTangent::turning(const VecCRef& v) {
+  turned_.resize(W_.rows(), W_.cols());
+  change(v, 1.0, turned_);
+  return turned_.transpose() * v + rate_change(v, 1.0);
+}
+
+void ConstraintTangent::change(const VecCRef& dq, double dt, Eigen::Ref<MatX> dW) {
   dW.setZero();
   twists_.move(dq);
-  for (const Constraint& c : tree_->elements.constraints) {
-    Rows rows{twists_, c, dW, c.row};
+  const std::vector<Constraint>& all = tree_->elements.constraints;
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    const Constraint& c = all[k];
+    Rows rows{twists_, c, moving_frame(c) != nullptr ? &frames_[k].at : nullptr, dt, dW, c.row};
     switch (c.kind) {
       case ConstraintKind::kPoint:
         point(rows);

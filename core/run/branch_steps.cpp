@@ -3,10 +3,9 @@
 
 namespace contactvi {
 
-// Of a part of a step: whether derivatives do not know the limits that actuators were at.
-void Simulator::count_saturated() {
+// Of a part of a step, a smooth one or not: whether derivatives do not know the limits that actuators were at.
+void Simulator::count_saturated(bool smooth) {
   if (actuation_.limited_dofs().empty()) return;
-  const bool smooth = contact_step_.empty() && !state_.dense.active;
   const bool any = smooth ? actuation_.is_any(Drive::kCut) : actuation_.is_any_limited();
   state_.actuators.saturated += any ? 1 : 0;
 }

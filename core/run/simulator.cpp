@@ -320,17 +320,18 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     if (state_.dense.active) {
       state_.watch.known = false;
       if (!advance_dense(interval, recording)) return false;
-      count_saturated();
+      count_saturated(false);
       continue;
     }
     const double cost = located_cost();
     const bool phase = !contact_step_.empty() || has_phase();
     if (phase) state_.watch.known = false;  // friction takes energy there
+    const bool smooth = !phase || may_hold_contacts(start + interval.done);
     const long before = state_.impacts;
     const bool going = phase ? advance_contact(interval, halved, recording) : advance_free(interval, halved, recording);
     modes_.end_step();
     if (!branches_.none()) branches_.end_step();
-    count_saturated();
+    count_saturated(smooth);
     // What is held by constraints or joint friction alone has no other steps, and a smooth step without an impact costs
     // what its order does.
     const bool touched = !contact_step_.contacts().empty() || sequence_.count() > 0;

@@ -211,7 +211,7 @@ class Simulator {
   void resume_free_motion(double t) { law_->resume(free_state(t), state_.reference); }
 
   // branch_steps.cpp: where force laws change their branches.
-  void count_saturated();
+  void count_saturated(bool smooth);
   bool begin_branches(const Interval& interval);
   bool enter_branch(Interval& interval, const VecX& q, const VecX& v, bool moved, Recording& recording);
   bool end_failed_switch(Search outcome, double time);

@@ -33,30 +33,33 @@ void ContactStepAdjoint::set_matrices() {
   for (MatX* Y : {&y_of_q0_, &y_of_q1_, &y_of_v_}) Y->resize(t.rows_, n);
   for (int k = 0; k < n; ++k) {
     unit[k] = 1.0;
-    t.set_start_rows(unit);
-    t.set_end_rows(none);
+    t.set_start_rows(unit, 0.0);
+    t.set_end_rows(none, 0.0);
     W0_of_q0_[k] = t.dW0_;
     W1_of_q0_[k] = t.dW1_;
     t.row_changes(unit, none, none, nothing, dy);
     y_of_q0_.col(k) = dy;
-    t.set_start_rows(none);
-    t.set_end_rows(unit);
+    t.set_start_rows(none, 0.0);
+    t.set_end_rows(unit, 0.0);
     W1_of_q1_[k] = t.dW1_;
     t.row_changes(none, unit, none, nothing, dy);
     y_of_q1_.col(k) = dy;
-    t.set_end_rows(none);
+    t.set_end_rows(none, 0.0);
     t.row_changes(none, none, unit, nothing, dy);
     y_of_v_.col(k) = dy;
     unit[k] = 0.0;
   }
-  t.set_start_rows(none);
-  t.set_end_rows(none);
   ContactStepDirection direction;
   direction.h = 1.0;
+  t.set_start_rows(none, 0.0);
+  t.set_end_rows(none, 1.0);
   t.row_changes(none, none, none, direction, y_of_h_);
   direction.h = 0.0;
   direction.t = 1.0;
+  t.set_start_rows(none, 1.0);
   t.row_changes(none, none, none, direction, y_of_t_);
+  t.set_start_rows(none, 0.0);
+  t.set_end_rows(none, 0.0);
   direction.t = 0.0;
   direction.anchors.setZero(3, contacts);
   y_of_anchors_.resize(t.rows_, 3 * contacts);
@@ -114,9 +117,12 @@ void ContactStepAdjoint::end_gradient(const Problem& problem, const VecX& v, Vec
   llambda.noalias() += tangent_.G_.transpose() * lw;
   law_gradient(problem, problem.system.solve_transposed(llambda), lbase, ldy_);
   if (tangent_.constraints_ > 0) {
-    const double later = tangent_.end_constraints_.accelerations().dot(lbase.head(tangent_.constraints_));
+    const ConstraintTangent& end = tangent_.end_constraints_;
+    const VecX lrates = lbase.head(tangent_.constraints_);
+    const double later = end.accelerations().dot(lrates);
     lt_ += later;
     lh_ += later;
+    lq1_ += end.gradient_rates() * lrates;
   }
   const VecX m = tangent_.MinvW_ * lbase;
   lp_minus_ += m;
@@ -157,6 +163,12 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
     lq1_[k] += W1_of_q1_[k].cwiseProduct(lW1_).sum();
     lq0_[k] += W1_of_q0_[k].cwiseProduct(lW1_).sum();
   }
+  const int m = t.constraints_;
+  if (m > 0) {
+    const double later = t.end_constraints_.gradient_rates().cwiseProduct(lW1_.leftCols(m)).sum();
+    lt_ += later;
+    lh_ += later;
+  }
   // The position impulse.
   const VecX llambda = t.Y_.transpose() * ldy_ + t.P_.transpose() * lp_minus_ + t.Q_.transpose() * lq1_;
   VecX lbase = ldy_;
@@ -176,6 +188,7 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   adjoint_.add_parameters(sums);
   const MatX lW0 = g.p * s.lambda.transpose();
   for (int k = 0; k < n; ++k) g.q[k] += lq0_[k] + W0_of_q0_[k].cwiseProduct(lW0).sum();
+  if (m > 0) lt_ += t.start_constraints_.gradient_rates().cwiseProduct(lW0.leftCols(m)).sum();
   g.h += lh_;
   g.t = lt_;
   g.mu = lmu_;

@@ -161,7 +161,7 @@ void ContactStepTangent::take_position_problem() {
   Y_.resize(rows_, rows_);
   dW0_.resize(n, rows_);
   dW1_.resize(n, rows_);
-  set_start_rows(none_);
+  set_start_rows(none_, 0.0);
   if (!step_.unit_changes(s.W0.leftCols(rows_), Q_, P_, V_))
     refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
            "Use a smaller dt");
@@ -170,7 +170,7 @@ void ContactStepTangent::take_position_problem() {
   for (int r = 0; r < rows_; ++r) {
     const VecX dq = Q_.col(r);
     dv_ = V_.col(r);
-    set_end_rows(dq);
+    set_end_rows(dq, 0.0);
     row_changes(none_, dq, dv_, nothing, dy);
     Y_.col(r) = dy;
   }
@@ -204,10 +204,13 @@ Vec3 ContactStepTangent::place_change(int contact, const VecX& dq1) {
          relative(twists1_, contact, place(twists1_, contact));
 }
 
-void ContactStepTangent::set_start_rows(const VecX& dq0) {
+void ContactStepTangent::set_start_rows(const VecX& dq0, double dt) {
   const ContactStepRecord& s = *record_;
   dW0_.setZero();
-  if (constraints_ > 0) start_constraints_.change(dq0, dW0_.leftCols(constraints_));
+  if (constraints_ > 0) {
+    start_constraints_.change(dq0, dt, dW0_.leftCols(constraints_));
+    drate0_ = start_constraints_.rate_change(dq0, dt);
+  }
   twists0_.move(dq0);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
@@ -224,10 +227,13 @@ void ContactStepTangent::set_start_rows(const VecX& dq0) {
 }
 
 // After set_start_rows.
-void ContactStepTangent::set_end_rows(const VecX& dq1) {
+void ContactStepTangent::set_end_rows(const VecX& dq1, double dt) {
   const ContactStepRecord& s = *record_;
   dW1_.setZero();
-  if (constraints_ > 0) end_constraints_.change(dq1, dW1_.leftCols(constraints_));
+  if (constraints_ > 0) {
+    end_constraints_.change(dq1, dt, dW1_.leftCols(constraints_));
+    drate1_ = end_constraints_.rate_change(dq1, dt);
+  }
   twists1_.move(dq1);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
@@ -311,8 +317,7 @@ VecX ContactStepTangent::constraint_changes(const VecX& dq0, const VecX& dq1, co
   const auto of = [&](const MatX& W) { return W.leftCols(constraints_).transpose(); };
   const VecX dphi0 = of(s.W0) * dq0 + start.rates() * d.t;
   if (s.constraints_by_rate())
-    return 0.5 * (of(dW0_ + dW1_) * s.v + of(s.W0 + s.W1) * dv) +
-           0.5 * (start.accelerations() * d.t + end.accelerations() * (d.t + d.h)) + dphi0 / s.nominal;
+    return 0.5 * (of(dW0_ + dW1_) * s.v + of(s.W0 + s.W1) * dv) + 0.5 * (drate0_ + drate1_) + dphi0 / s.nominal;
   const bool shorter = s.h < s.nominal;
   const double part = shorter ? 1.0 - s.h / s.nominal : 0.0;
   const VecX dphi1 = of(s.W1) * dq1 + end.rates() * (d.t + d.h);
@@ -441,7 +446,7 @@ void ContactStepTangent::end_change(const Problem& problem, const VecX& v, const
   step_.momentum(record_->q1, v, dq1, none_, work_);
   if (d.parameters != nullptr) step_.add_momentum(record_->q1, v, *d.parameters, work_);
   VecX base = dW1_.transpose() * v + MinvW_.transpose() * (dp_minus + dW1_ * problem.lambda - work_);
-  if (constraints_ > 0) base.head(constraints_) += end_constraints_.accelerations() * (d.t + d.h);
+  if (constraints_ > 0) base.head(constraints_) += drate1_;
   solve_laws(problem, law_change(problem, d, base, dy), size, dlambda);
   dw = base + G_ * dlambda;
 }
@@ -449,9 +454,8 @@ void ContactStepTangent::end_change(const Problem& problem, const VecX& v, const
 void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp1) {
   const ContactStepRecord& s = *record_;
   const VecX dq0 = d.q.size() > 0 ? d.q : none_;
-  set_start_rows(dq0);
+  set_start_rows(dq0, d.t);
   StepDirection& direction = step_direction_;
-  dt_ = d.t;
   direction.q = dq0;
   direction.p = dW0_ * s.lambda;
   if (d.p.size() > 0) direction.p += d.p;
@@ -463,7 +467,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
     refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
            "Use a smaller dt");
   step_.velocity_change(0, dv_);
-  set_end_rows(q);
+  set_end_rows(q, d.t + d.h);
   row_changes(dq0, q, dv_, d, base_);
   // The impulses of the contacts take away what is larger before.
   const double size_q = std::max({d.size_q, dq0.cwiseAbs().maxCoeff(), q.cwiseAbs().maxCoeff()});
@@ -476,7 +480,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   q.noalias() += Q_ * dlambda_;
   dp_minus_.noalias() += P_ * dlambda_;
   dy_ = base_ + Y_ * dlambda_;
-  set_end_rows(q);
+  set_end_rows(q, d.t + d.h);
   end_change(velocity_, s.v1, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
   dp1 = dp_minus_ + dW1_ * s.lambda_end + s.W1 * dlambda_end_;
   dq1 = q;
@@ -506,15 +510,14 @@ double ContactStepTangent::energy_change_after() {
   double change = energy_change();
   if (constraints_ == 0) return change;
   change += dlambda_.head(constraints_).dot(start_constraints_.rates());
-  return change + record_->lambda.head(constraints_).dot(start_constraints_.accelerations()) * dt_;
+  return change + record_->lambda.head(constraints_).dot(drate0_);
 }
 
 double ContactStepTangent::energy_change_before() {
   double change = energy_change();
   if (constraints_ == 0) return change;
   change -= dlambda_end_.head(constraints_).dot(end_constraints_.rates());
-  const double later = dt_ + step_direction_.h;
-  return change - record_->lambda_end.head(constraints_).dot(end_constraints_.accelerations()) * later;
+  return change - record_->lambda_end.head(constraints_).dot(drate1_);
 }
 
 }  // namespace contactvi

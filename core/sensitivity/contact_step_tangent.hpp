@@ -78,8 +78,9 @@ class ContactStepTangent {
   Eigen::Vector2d slip_of(const Problem& problem, std::size_t contact) const;
   void take_released_friction();
   void check_laws();
-  void set_start_rows(const VecX& dq0);
-  void set_end_rows(const VecX& dq1);
+  // Along the changes of the configurations at both ends of the step and of their times [s].
+  void set_start_rows(const VecX& dq0, double dt);
+  void set_end_rows(const VecX& dq1, double dt);
   void row_changes(const VecX& dq0, const VecX& dq1, const VecX& dv, const ContactStepDirection& d, VecX& dy);
   VecX constraint_changes(const VecX& dq0, const VecX& dq1, const VecX& dv, const ContactStepDirection& d) const;
   void end_change(const Problem& problem, const VecX& v, const ContactStepDirection& d, const VecX& dy, const VecX& dq1,
@@ -108,7 +109,8 @@ class ContactStepTangent {
   MatX dW0_, dW1_;
   std::vector<Vec3> dn0_, dt1_;
   StepDirection step_direction_;  // of the smooth step, without the changes of the position impulses
-  double dt_ = 0.0;               // of the start [s]
+  // Changes of the rates of the constraints at both ends, along it.
+  VecX drate0_, drate1_;
   VecX dv_, dp_start_, dp_minus_, dy_, base_, dlambda_, dlambda_end_, dw_, work_, none_;
 };
 

@@ -30,7 +30,7 @@ void DenseStepAdjoint::fill(Source& source, int dof) {
     t.slip_change(static_cast<int>(k), none, none, slip);
     source.slips[k].col(dof) = slip;
   }
-  t.set_end_rows(none);
+  t.set_end_rows(none, 0.0);
   source.W1[dof] = t.dW1_;
 }
 
@@ -62,17 +62,17 @@ void DenseStepAdjoint::set_matrices() {
     for (int d = 0; d < n; ++d) {
       unit[d] = 1.0;
       t.clear_law_changes();
-      t.set_start_rows(source.place < 0 ? unit : none);
+      t.set_start_rows(source.place < 0 ? unit : none, 0.0);
       if (source.place >= 0) t.add_found_rows(source.place, unit);
       fill(source, d);
       unit[d] = 0.0;
     }
   }
   t.clear_law_changes();
-  t.set_start_rows(none);
+  t.set_start_rows(none, 0.0);
   for (int d = 0; d < n; ++d) {
     unit[d] = 1.0;
-    t.set_end_rows(unit);
+    t.set_end_rows(unit, 0.0);
     W1_of_q1_[d] = t.dW1_;
     for (std::size_t k = 0; k < s.places.size(); ++k) {
       if (slips_[k].of_q.size() == 0) continue;
@@ -92,6 +92,13 @@ void DenseStepAdjoint::pass_rows(const MatX& lW0, const MatX& lW1) {
       if (lW0.size() > 0) of(source)[d] += source.W0[d].cwiseProduct(lW0).sum();
       if (lW1.size() > 0) of(source)[d] += source.W1[d].cwiseProduct(lW1).sum();
     }
+  const int m = tangent_.constraints_;
+  if (m == 0) return;
+  if (lW0.size() > 0) lt_ += tangent_.start_constraints_.gradient_rates().cwiseProduct(lW0.leftCols(m)).sum();
+  if (lW1.size() == 0) return;
+  const double later = tangent_.end_constraints_.gradient_rates().cwiseProduct(lW1.leftCols(m)).sum();
+  lt_ += later;
+  lh_ += later;
 }
 
 void DenseStepAdjoint::pass_gaps(int place, const VecX& lgaps) {
@@ -99,9 +106,9 @@ void DenseStepAdjoint::pass_gaps(int place, const VecX& lgaps) {
 }
 
 // The transpose of DenseStepTangent::end_times(), over the length; lrows: gradients in the rows of a place.
-void DenseStepAdjoint::pass_end_times(const VecX& lrows) {
+void DenseStepAdjoint::pass_end_times(std::size_t place, const VecX& lrows) {
   if (tangent_.constraints_ == 0) return;
-  const double l = tangent_.end_constraints_.rates().dot(lrows.head(tangent_.constraints_)) / record_->h;
+  const double l = tangent_.end_rates_[place].dot(lrows.head(tangent_.constraints_)) / record_->h;
   lt_ += l;
   lh_ += l;
 }
@@ -123,9 +130,11 @@ void DenseStepAdjoint::pass_end_base(const DenseStepTangent::End& end, const Vec
   places_.back().q += lq;
   adjoint_.add_momentum_parameters(q1, end.v, -m, sums);
   if (tangent_.constraints_ == 0) return;
-  const double later = tangent_.end_constraints_.accelerations().dot(lbase.head(tangent_.constraints_));
+  const VecX lrates = lbase.head(tangent_.constraints_);
+  const double later = tangent_.end_constraints_.accelerations().dot(lrates);
   lt_ += later;
   lh_ += later;
+  places_.back().q += tangent_.end_constraints_.gradient_rates() * lrates;
 }
 
 void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& sums) {
@@ -230,7 +239,7 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
   round.gaps.solve_transposed(llambda, lbase, lknown, lmu);
   const VecX lq = next.q + to.W * lbase / s.h;
   pass_gaps(static_cast<int>(k) + 1, lbase / s.h);
-  pass_end_times(lbase);
+  pass_end_times(k + 1, lbase);
   for (std::size_t i = 0; i < s.contacts.size(); ++i)
     lallowed_[static_cast<Eigen::Index>(i)] -= lbase[s.contacts[i].row] / s.h;
   VecX lp_start;
@@ -302,7 +311,7 @@ bool DenseStepAdjoint::pass_free(StepParameters& sums) {
         free.lambda.head(m) + t.free_constraints_.Q.transpose() * free.q + t.free_constraints_.V.transpose() * free.v;
     const VecX lbase = t.free_constraints_.system.solve_transposed(lmu);
     free.q += place.W.leftCols(m) * lbase / s.h;
-    pass_end_times(lbase);
+    pass_end_times(0, lbase);
   }
   if (!pass_step(p, place, free.q, free.v, VecX::Zero(scene_->tree.nv), lp_start, sums)) return false;
   if (m == 0) return true;

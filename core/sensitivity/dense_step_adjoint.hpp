@@ -48,7 +48,7 @@ class DenseStepAdjoint {
   void fill(Source& source, int dof);
   void pass_rows(const MatX& lW0, const MatX& lW1);
   void pass_gaps(int place, const VecX& lgaps);
-  void pass_end_times(const VecX& lrows);
+  void pass_end_times(std::size_t place, const VecX& lrows);
   void pass_slips(int place, const VecX& lslips);
   VecX& of(const Source& source) { return source.place < 0 ? lq0_ : places_[source.place].q; }
   void pass_end(const VecX& lq, const VecX& lp, StepParameters& sums);

@@ -12,10 +12,10 @@ namespace {
 constexpr double kOneMatrix = 1e-7;
 }  // namespace
 
-void DenseStepTangent::set_start_rows(const VecX& dq0) {
+void DenseStepTangent::set_start_rows(const VecX& dq0, double dt) {
   const DenseStepRecord& s = *record_;
   dW0_.setZero();
-  if (constraints_ > 0) start_constraints_.change(dq0, dW0_.leftCols(constraints_));
+  if (constraints_ > 0) start_constraints_.change(dq0, dt, dW0_.leftCols(constraints_));
   twists_.place(s.q0);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
@@ -114,10 +114,10 @@ DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Contact& at
   return found;
 }
 
-void DenseStepTangent::set_end_rows(const VecX& dq1) {
+void DenseStepTangent::set_end_rows(const VecX& dq1, double dt) {
   const DenseStepRecord& s = *record_;
   dW1_.setZero();
-  if (constraints_ > 0) end_constraints_.change(dq1, dW1_.leftCols(constraints_));
+  if (constraints_ > 0) end_constraints_.change(dq1, dt, dW1_.leftCols(constraints_));
   twists_.place(s.places.back().q);
   twists_.move(none_);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
@@ -245,8 +245,10 @@ void DenseStepTangent::check_held_gaps(const Round& round, const DenseStepDirect
     approximate("a sliding contact whose gap stays closed to one side and is held open to the other");
 }
 
-// What the residuals of the constraints at the end of the step change by with its time.
-VecX DenseStepTangent::end_times(const DenseStepDirection& d) const { return end_constraints_.rates() * (d.t + d.h); }
+// What the residuals of the constraints at a place change by with its time.
+VecX DenseStepTangent::end_times(std::size_t place, const DenseStepDirection& d) const {
+  return end_rates_[place] * (d.t + d.h);
+}
 
 // The first place.
 void DenseStepTangent::solve_free(const DenseStepDirection& d, const VecX& dq0) {
@@ -267,7 +269,7 @@ void DenseStepTangent::solve_free(const DenseStepDirection& d, const VecX& dq0) 
            "Use a smaller dt");
   free_.velocity_change(0, free.v);
   if (constraints_ == 0) return;
-  const VecX base = (s.places[0].W.leftCols(constraints_).transpose() * free.q + end_times(d)) / s.h;
+  const VecX base = (s.places[0].W.leftCols(constraints_).transpose() * free.q + end_times(0, d)) / s.h;
   VecX dmu;
   free_constraints_.system.solve(base, VecX::Zero(constraints_), dmu);
   free.lambda.head(constraints_) = dmu;
@@ -331,7 +333,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   round.step.velocity_change(0, next.v);
   base = (s.places[k + 1].W.transpose() * next.q + extra_gaps(s.places[k + 1])) / s.h;
   for (const DenseStepRecord::Contact& c : s.contacts) base[c.row] -= allowed_change(c, dq0, d.h) / s.h;
-  if (constraints_ > 0) base.head(constraints_) += end_times(d) / s.h;
+  if (constraints_ > 0) base.head(constraints_) += end_times(k + 1, d) / s.h;
   solve_laws(round.gaps, base, known, VecX(), sizes(d), next.lambda);
   if (has_friction_ && rows_ > 0) check_held_gaps(round, d, dlambda, next.lambda);
   next.q += round.Q * next.lambda;
@@ -350,7 +352,7 @@ VecX DenseStepTangent::end_base(const End& end, const DenseStepDirection& d, con
   VecX dv = force - work_;
   masses_.solve_mass(dv);
   VecX base = dW1_.transpose() * end.v + record_->W1.transpose() * dv;
-  if (constraints_ > 0) base.head(constraints_) += end_constraints_.accelerations() * (d.t + d.h);
+  if (constraints_ > 0) base.head(constraints_) += end_constraints_.rate_change(dq1, d.t + d.h);
   return base;
 }
 
@@ -358,7 +360,7 @@ void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1
   const DenseStepRecord& s = *record_;
   const VecX dq0 = d.q.size() > 0 ? d.q : none_, dp0 = d.p.size() > 0 ? d.p : none_;
   clear_law_changes();
-  set_start_rows(dq0);
+  set_start_rows(dq0, d.t);
   free_.momentum(s.q0, v0_, dq0, none_, work_);
   if (d.parameters != nullptr) free_.add_momentum(s.q0, v0_, *d.parameters, work_);
   dv0_ = dp0 - work_;
@@ -369,7 +371,7 @@ void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1
   for (std::size_t k = 0; k < s.rounds.size(); ++k) solve_round(k, d, dq0);
   const Change& end = places_.back();
   dq1 = end.q;
-  set_end_rows(end.q);
+  set_end_rows(end.q, d.t + d.h);
   masses_.place_node(s.places.back().q);
   VecX force, known = VecX::Zero(rows_), dplastic, dexpansion, total = s.plastic;
   for (std::size_t j = 0; j < s.joints.size(); ++j) known[s.row_of(j)] = 0.5 * s.joints[j].limit * d.h;

@@ -118,7 +118,11 @@ void DenseStepTangent::take_geometry() {
   dW1_.setZero(scene_->tree.nv, rows_);
   if (constraints_ == 0) return;
   start_constraints_.take(s.q0, s.t);
-  end_constraints_.take(s.places.back().q, s.t + s.h);
+  end_rates_.clear();
+  for (const DenseStepRecord::Place& place : s.places) {
+    end_constraints_.take(place.q, s.t + s.h);
+    end_rates_.push_back(end_constraints_.rates());
+  }
 }
 
 void DenseStepTangent::take_masses(const VecX& tau, const Servo* servo) {

@@ -110,18 +110,18 @@ class DenseStepTangent {
   void refuse_shared(const char* fact, const char* got, const char* remedy);
   void check_round(const Round& round);
   void check_expansion();
-  void set_start_rows(const VecX& dq0);
+  void set_start_rows(const VecX& dq0, double dt);
   void add_found_rows(int place, const VecX& dq);
   void set_law_change(std::size_t contact, const Contact& at, const VecX& dq);
   Extra extra(std::size_t contact, const Contact& at, const Vec3& t1, Eigen::Ref<MatX> dW);
   Extra extra_gap(std::size_t contact, const Contact& at) const;
   VecX extra_gaps(const DenseStepRecord::Place& place);
   void clear_law_changes() { law_change_.assign(record_->contacts.size(), {Vec3::Zero(), Vec3::Zero(), 0.0}); }
-  void set_end_rows(const VecX& dq1);
+  void set_end_rows(const VecX& dq1, double dt);
   void slip_change(int place, const VecX& dq, const VecX& dv, VecX& dslip);
   void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
   double allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const;
-  VecX end_times(const DenseStepDirection& d) const;
+  VecX end_times(std::size_t place, const DenseStepDirection& d) const;
   void solve_free(const DenseStepDirection& d, const VecX& dq0);
   void solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0);
   void check_held_gaps(const Round& round, const DenseStepDirection& d, const VecX& dlaw, const VecX& dlambda);
@@ -139,6 +139,7 @@ class DenseStepTangent {
   StepTangent free_;  // the step without other impulses than those of the constraints
   Free free_constraints_;
   ConstraintTangent start_constraints_, end_constraints_;
+  std::vector<VecX> end_rates_;  // of the constraints, per place
   std::deque<Round> rounds_;
   const DenseStepRecord* record_ = nullptr;
   BodyTwists twists_;

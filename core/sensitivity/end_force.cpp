@@ -17,17 +17,11 @@ constexpr double kStill = 1e-11;  // of the speeds: a joint that sticks
 constexpr double kZero =
     1e-5;  // of the terms of the forces: that of the contact that is released, as the run located it
 constexpr double kUnique = 1e-9;  // of a force: what the laws leave open
-// Of the rate of the force: to which it has to be known from differences of the acceleration of a prescribed motion,
-// which are made over half a nominal step and over a quarter of one.
+// Of the rate of the force: to which it has to be known from differences in the time of prescribed motions, which are
+// made over half a nominal step and over a quarter of one.
 constexpr double kSameRate = 1e-7;
-
-// The third derivative at t of a prescribed motion, from its accelerations at five times up to t [s].
-double jerk(const Signal& motion, double t, double step) {
-  double total = 25.0 * motion(t)[2];
-  total += -48.0 * motion(t - step)[2] + 36.0 * motion(t - 2.0 * step)[2];
-  total += -16.0 * motion(t - 3.0 * step)[2] + 3.0 * motion(t - 4.0 * step)[2];
-  return total / (12.0 * step);
-}
+// Weights of a derivative from values at five times up to the one that it is for, of 1 / (12 step).
+constexpr double kBackward[] = {25.0, -48.0, 36.0, -16.0, 3.0};
 }  // namespace
 
 EndForce::EndForce(const Scene& scene, const RecordedRun& run)
@@ -59,6 +53,7 @@ PhaseEnd release_of(const ContactStepRecord& s) {
 
 void EndForce::take(PhaseEnd end, const VecX& tau, const Servo* servo) {
   end_ = std::move(end);
+  motions_time_ = end_.time;
   tau_ = &tau;
   masses_.set_time(end_.time);
   masses_.set_servo(servo);
@@ -103,9 +98,9 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
   W_.setZero(scene_->tree.nv, rows);
   dW_.setZero(scene_->tree.nv, rows);
   if (equations > 0) {
-    constraints_.take(q, s.time);
+    constraints_.take(q, motions_time_);
     W_.leftCols(equations) = constraints_.gradients();
-    constraints_.change(v_, dW_.leftCols(equations));
+    constraints_.change(v_, 1.0, dW_.leftCols(equations));
   }
   for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, equations + static_cast<int>(k)) = 1.0;
   std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero()), normals = t1;
@@ -127,7 +122,7 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
   MatX MinvW = W_;
   masses_.solve_masses(MinvW);
   VecX c = W_.transpose() * a_ + dW_.transpose() * v_;
-  c.head(equations) += constraints_.accelerations();
+  if (equations > 0) c.head(equations) += constraints_.rate_change(v_, 1.0);
   A_.noalias() = W_.transpose() * MinvW;
   accelerations_ = c;
   MatX A = A_;
@@ -254,19 +249,22 @@ double EndForce::rate(const VecX& fq, const VecX& fp) {
   return scene_->tree.elements.driven() ? rest + prescribed_rate(rest) : rest;
 }
 
-// The accelerations of prescribed motions are terms of the equations of the forces: their rates have that of the force.
+// Of the force at one state, where prescribed motions alone go on: from the forces, which are smooth where their norm,
+// as that of friction, is not.
 double EndForce::prescribed_rate(double rest) {
-  const PhaseEnd& s = end_;
-  const double t = s.time, step = std::min(0.125 * s.nominal, 0.25 * (t - t0_));
-  force(s.q, s.p, *tau_, mu_);
-  VecX c = VecX::Zero(s.rows), none = c, rates;
+  const double step = std::min(0.125 * end_.nominal, 0.25 * (end_.time - t0_));
   double found[2];
   for (int k = 0; k < 2; ++k) {
-    for (const Constraint& constraint : scene_->tree.elements.constraints)
-      if (constraint.signal) c[constraint.row] = -jerk(constraint.signal, t, k == 0 ? step : 0.5 * step);
-    system_.solve(c, none, rates);
+    const double length = k == 0 ? step : 0.5 * step;
+    VecX rates = VecX::Zero(end_.rows);
+    for (int i = 4; i >= 0; --i) {
+      motions_time_ = end_.time - i * length;
+      force(end_.q, end_.p, *tau_, mu_);
+      rates += kBackward[i] / (12.0 * length) * forces_;
+    }
     found[k] = weights_.dot(rates);
   }
+  motions_time_ = end_.time;
   if (!(std::abs(found[1] - found[0]) <= kSameRate * std::abs(rest + found[1])))
     refuse("a prescribed motion whose acceleration is not smooth, or not known well enough");
   return found[1];

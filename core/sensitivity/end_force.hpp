@@ -73,6 +73,7 @@ class EndForce {
   Guards guards_;
   ContactTangent tangent_;
   ConstraintTangent constraints_;
+  double motions_time_ = 0.0;  // [s] at which prescribed motions are taken
   MotionParameters parameters_;
   PhaseEnd end_;
   const VecX* tau_ = nullptr;

@@ -79,7 +79,7 @@ bool HeldEnd::add_impulse(const VecX& heavier, double later, const VecX& sizes, 
   const VecX dq = end.head(nv_), all_heavier = heavier + mass_change_ * dq;
   VecX dp = end.segment(nv_, nv_), impulses;
   VecX faster = watched_change_ * dq + MinvC_.transpose() * (dp - all_heavier);
-  faster.head(node_->rows()) += node_->accelerations() * later;
+  faster.head(node_->rows()) += node_->speed_rates(record_->v1) * later;
   faster(undirected_).setZero();
   const bool agree = system_.solve(faster, sizes, impulses);
   dp += node_->given() * impulses;

@@ -25,8 +25,6 @@ bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda, 
   phase.place(number, q, phi, W, T);
   rates_.setZero(rows);
   rates_.head(fixed) = constraints_.rates();
-  accelerations_.setZero(rows);
-  accelerations_.head(fixed) = constraints_.accelerations();
   // Beside its normal a sliding contact has two columns that are no rows: its tangents.
   columns_.resize(n, rows + 2 * slides);
   columns_.leftCols(fixed) = constraints_.gradients();
@@ -155,7 +153,7 @@ MatX HeldNode::frame_turns(const std::vector<PersistentContact>& contacts, const
 // components of an impulse are free, or the direction of the slip is.
 void HeldNode::change(const VecX& dq) {
   change_.setZero(columns_.rows(), columns_.cols());
-  constraints_.change(dq, change_.leftCols(constraints_.rows()));
+  constraints_.change(dq, 0.0, change_.leftCols(constraints_.rows()));
   for (std::size_t i = 0; i < first_.size(); ++i)
     contacts_[i].change(dq, t1_[i], change_.middleCols(first_[i], count_[i]));
 }
@@ -169,6 +167,13 @@ void HeldNode::change_speeds(const VecX& v, MatX& watched, MatX& along) {
     watched.col(k) = watch_.transpose() * speeds;
     along.col(k) = lead_.transpose() * speeds;
   }
+  watched.topRows(constraints_.rows()) += constraints_.gradient_rates().transpose();
+}
+
+VecX HeldNode::speed_rates(const VecX& v) const {
+  VecX found = VecX::Zero(rows());
+  found.head(constraints_.rows()) = constraints_.speed_rate(v);
+  return found;
 }
 
 }  // namespace contactvi

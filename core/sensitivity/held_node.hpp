@@ -52,11 +52,13 @@ class HeldNode {
   // Derivatives by the configuration, at a constant v, of the speeds that are zero, (rows + slides, nv), and of those
   // along the slips, (slides, nv).
   void change_speeds(const VecX& v, MatX& watched, MatX& along);
-  // Derivatives of the rows' displacements: by the configuration, (rows, nv); by time at a fixed one, (rows,), of which
-  // only constraints have any, and again by time.
+  // Derivatives of the rows' displacements: by the configuration, (rows, nv); and by time at a fixed one, (rows,), of
+  // which only constraints have any.
   const MatX& displacements() const { return displacements_; }
   const VecX& rates() const { return rates_; }
-  const VecX& accelerations() const { return accelerations_; }
+  // Derivatives by time, at a fixed configuration, of the force, and of the speeds of the rows at a constant v.
+  VecX force_rate(const VecX& lambda) const { return constraints_.gradient_rates() * lambda.head(constraints_.rows()); }
+  VecX speed_rates(const VecX& v) const;
   // Of a material point: the derivative of its position in the frame of the plane's body, (3, nv); and the tangents
   // there along which its displacement counts, (2, 3).
   MatX place_change(const ContactPoint& point);
@@ -79,7 +81,7 @@ class HeldNode {
   std::vector<int> first_, count_;  // columns of each contact
   std::vector<int> column_of_;      // of each row
   std::vector<Vec3> t1_;
-  VecX q_, X_, force_, rates_, accelerations_;
+  VecX q_, X_, force_, rates_;
   MatX columns_, change_;  // and their change along a direction
   // Weights of the columns, for what is named like them.
   MatX watch_, give_, lead_;

@@ -79,9 +79,6 @@ void HeldStart::check(const ContactStepDirection& d) {
   const VecX sizes = gradients.transpose() * size + q * changes.rowwise().sum();
   for (const int j : slip_start_.begins()) {
     if (std::hypot(along[j], across[j]) > kMoved * sizes[j]) refuse_moved(guards_[static_cast<std::size_t>(j)]);
-    if (d.t != 0.0 && slip_start_.depends_on_time())
-      throw NoDerivative({"time", -1, s.t}, "A slip begins beside a prescribed motion, at a time that moves",
-                         "a time that is given", "one that an event moves", "Start elsewhere");
   }
   for (const FrictionJoint& joint : s.joints)
     if (!joint.sticks && std::abs(v0_[joint.dof]) <= still && std::abs(dv[joint.dof]) > kMoved * size[joint.dof])

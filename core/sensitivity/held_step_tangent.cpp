@@ -170,7 +170,7 @@ VecX HeldStepTangent::force_change(int node, const ContactStepDirection& d, cons
                                    const VecX& impulses) const {
   const HeldNode& at = nodes_[static_cast<std::size_t>(node)];
   return at.force_change() * dq + at.given() * impulses + at.by_friction() * friction_changes(d) +
-         (table_->e[node] * d.h) * load_;
+         (table_->e[node] * d.h) * load_ + (d.t + table_->d[node] * d.h) * at.force_rate(record_->lambda.col(node));
 }
 
 // Of the directions of the slips at the start.

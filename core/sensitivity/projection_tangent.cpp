@@ -32,7 +32,8 @@ MatX ProjectionTangent::take_rows(const MatX& mu, MatX& W, MatX& Z) {
 }
 
 void ProjectionTangent::change(const VecX& dq, double dt, const MatX& turned, MatX& dW, VecX& offset) {
-  constraints_.change(dq, dPhi_);
+  constraints_.change(dq, dt, dPhi_);
+  const VecX drate = constraints_.rate_change(dq, dt);
   dW.noalias() -= dPhi_ * *mu_;
   const MatX right = dPhi_.transpose() * *Z_ + MinvPhi_.transpose() * (dW - turned);
   const VecX none = VecX::Zero(constraints_.rows());
@@ -41,7 +42,7 @@ void ProjectionTangent::change(const VecX& dq, double dt, const MatX& turned, Ma
   for (Eigen::Index k = 0; k < dW.cols(); ++k) {
     system_.solve(-right.col(k), none, dmu);
     dW.col(k).noalias() -= constraints_.gradients() * dmu;
-    offset[k] = -dmu.dot(constraints_.rates()) - mu_->col(k).dot(constraints_.accelerations()) * dt;
+    offset[k] = -dmu.dot(constraints_.rates()) - mu_->col(k).dot(drate);
     if (immobile_[static_cast<std::size_t>(k)] != 0) dW.col(k).setZero();
   }
 }

@@ -10,8 +10,9 @@
 namespace contactvi {
 
 namespace {
-// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad].
-constexpr double kStep = 1e-5, kTurn = 1e-3;
+// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; of the time
+// of prescribed motions [s].
+constexpr double kStep = 1e-5, kTurn = 1e-3, kTime = 5e-4;
 // Of the mobility along the normal: less than that across a slip is none; and of the largest pivot.
 constexpr double kPlane = 1e-12, kDependent = 1e-7;
 }  // namespace
@@ -36,7 +37,7 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
   masses_.set_time(step.t);
   masses_.set_servo(servo);
   load_ = phase.load() != nullptr ? *phase.load() : VecX(VecX::Zero(n));
-  start_ = {step.q0, step.p0, tau.size() > 0 ? tau : VecX(VecX::Zero(n)), VecX(slides), step.angles.col(0)};
+  start_ = {step.q0, step.p0, tau.size() > 0 ? tau : VecX(VecX::Zero(n)), VecX(slides), step.angles.col(0), step.t};
   rows_of_slides_.resize(static_cast<std::size_t>(slides));
   for (std::size_t i = 0; i < step.contacts.size(); ++i) {
     const int j = phase.slide(i);
@@ -61,6 +62,9 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
       [](Place& at, Eigen::Index k, double by) { at.p[k] += by; });
   by_tau_ = differences(n, sized(kStep * input), [](Place& at, Eigen::Index k, double by) { at.tau[k] += by; });
   by_mu_ = differences(slides, sized(kStep), [](Place& at, Eigen::Index k, double by) { at.mu[k] += by; });
+  by_t_ = MatX::Zero(static_cast<Eigen::Index>(begins_.size()), 1);
+  if (tree.elements.driven())
+    by_t_ = differences(1, sized(kTime), [](Place& at, Eigen::Index, double by) { at.t += by; });
   by_others_ = differences(slides, sized(kTurn), [](Place& at, Eigen::Index k, double by) { at.angles[k] += by; });
   solve_turns(mobility);
   return known_;
@@ -90,7 +94,7 @@ VecX SlipStart::across(const Place& at) {
   masses_.solve_mass(loaded);
   a_ += loaded;
   const Eigen::Index rows = record_->lambda.rows();
-  if (!node_.take(at.q, record_->t, VecX::Zero(n), VecX::Zero(rows), at.angles, VecX::Zero(n), *record_, *phase_, 0)) {
+  if (!node_.take(at.q, at.t, VecX::Zero(n), VecX::Zero(rows), at.angles, VecX::Zero(n), *record_, *phase_, 0)) {
     known_ = false;
     return VecX::Zero(slides);
   }
@@ -100,7 +104,7 @@ VecX SlipStart::across(const Place& at) {
   masses_.solve_masses(forces);
   node_.change_speeds(v_, watched, along);
   VecX c = node_.watched().transpose() * a_ + watched * v_, f;
-  c.head(rows) += node_.accelerations();
+  c.head(rows) += node_.speed_rates(v_);
   const MatX E = node_.watched().transpose() * forces;
   system_.compute(E.topRows(rows), scene_->tree.elements.constraint_rows);
   system_.solve(c.head(rows), VecX::Zero(rows), f);
@@ -126,7 +130,7 @@ void SlipStart::solve_turns(const MatX& mobility) {
   factor.setThreshold(kDependent);
   factor.compute(own);
   by_others_(Eigen::all, begins_).setZero();
-  for (MatX* by : {&by_q_, &by_p_, &by_tau_, &by_mu_, &by_others_}) *by = MatX(-factor.solve(*by));
+  for (MatX* by : {&by_q_, &by_p_, &by_tau_, &by_mu_, &by_t_, &by_others_}) *by = MatX(-factor.solve(*by));
 }
 
 void SlipStart::add_turns(const ContactStepDirection& d, const VecX& dmu, VecX& turns) {
@@ -142,7 +146,8 @@ void SlipStart::add_turns(const ContactStepDirection& d, const VecX& dmu, VecX& 
     dtau += own_tau;
   }
   const VecX framed = turn_ * dq;
-  const VecX found = by_q_ * dq + by_p_ * dp + by_tau_ * dtau + by_mu_ * dmu + by_others_ * (turns - framed);
+  const VecX found =
+      by_q_ * dq + by_p_ * dp + by_tau_ * dtau + by_mu_ * dmu + by_t_.col(0) * d.t + by_others_ * (turns - framed);
   turns(begins_) = found + framed(begins_);
 }
 

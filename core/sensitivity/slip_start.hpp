@@ -31,12 +31,12 @@ class SlipStart {
   void add_turns(const ContactStepDirection& direction, const VecX& dmu, VecX& turns);
   // Adds what the gradients in their directions, of lturns, make of the gradients in the other ones, and in parameters.
   void pass(VecX& lturns, StepParameters& sums);
-  bool depends_on_time() const { return scene_->tree.elements.driven(); }
 
  private:
   // What the accelerations across the directions are functions of.
   struct Place {
     VecX q, p, tau, mu, angles;
+    double t = 0.0;  // of prescribed motions [s]
   };
   VecX across(const Place& place);
   template <class Size, class Move>
@@ -57,7 +57,7 @@ class SlipStart {
   bool known_ = true;
   // Of the directions that begin, by what the others are named after; turn_: of the frames of all slides about their
   // normals, (slides, nv).
-  MatX by_q_, by_p_, by_tau_, by_mu_, by_others_, turn_;
+  MatX by_q_, by_p_, by_tau_, by_mu_, by_others_, by_t_, turn_;
 };
 
 }  // namespace contactvi

@@ -6,15 +6,11 @@
 
 #include "base/reduction.hpp"
 #include "model/constraint_tangent.hpp"
-#include "model/constraints.hpp"
 #include "model/coordinates.hpp"
-#include "model/moving_frame.hpp"
 
 namespace contactvi {
 
 namespace {
-
-constexpr double kSide = 1e-3;  // [m; rad] displacement of differences of constraints
 
 Twist operator+(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
 
@@ -161,46 +157,19 @@ double spring_power_rate(const Tree& tree, const VecCRef& q, const VecCRef& v, c
   return sum;
 }
 
-// d/dt of the rates of the constraints, W^T v + d phi/dt, along the motion at constant v. Where a prescribed pose makes
-// W depend on time, by central differences of fourth order.
-VecX rates_at_constant_velocity(const Tree& tree, const VecCRef& q, const VecCRef& v, double t) {
-  const int rows = tree.elements.constraint_rows;
-  const std::vector<Constraint>& all = tree.elements.constraints;
-  if (std::none_of(all.begin(), all.end(), [](const Constraint& c) { return moving_frame(c) != nullptr; })) {
-    ConstraintTangent constraints(tree);
-    constraints.take(q, t);
-    MatX dW(tree.nv, rows);
-    constraints.change(v, dW);
-    return dW.transpose() * v + constraints.accelerations();
-  }
-  VecX phi(rows), rate(rows), moved(tree.nq), total = VecX::Zero(rows);
-  MatX W(tree.nv, rows);
-  Placements at(tree);
-  const double delta = kSide / (1.0 + v.cwiseAbs().maxCoeff());
-  for (const auto& [steps, weight] : {std::pair{1.0, 2.0 / 3.0}, {2.0, -1.0 / 12.0}})
-    for (const double side : {1.0, -1.0}) {
-      integrate(tree, q, v, side * steps * delta, moved);
-      place(tree, moved, at);
-      evaluate_constraints(tree, at, moved, t + side * steps * delta, phi, W, rate);
-      total += side * weight / delta * (W.transpose() * v + rate);
-    }
-  return total;
-}
-
 // From the acceleration a without constraints to that with them. Returns lambda.(W^T a) of their forces lambda. The
 // node of the equations is at q.
 double constrain_acceleration(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, VecX& a) {
   const Tree& tree = equations.tree();
   const int rows = tree.elements.constraint_rows;
   if (rows == 0) return 0.0;
-  VecX phi(rows), rate(rows), none(0), force(rows);
-  MatX W(tree.nv, rows);
-  Placements at(tree);
-  place(tree, q, at);
-  evaluate_constraints(tree, at, q, t, phi, W, rate);
+  ConstraintTangent constraints(tree);
+  constraints.take(q, t);
+  const VecX none(0), turning = constraints.turning(v);
+  VecX force(rows);
+  const MatX& W = constraints.gradients();
   MatX MinvW = W;
   equations.solve_masses(MinvW);
-  const VecX turning = rates_at_constant_velocity(tree, q, v, t);
   Reduction reduction;
   reduction.set(W.transpose() * MinvW, rows);
   reduction.right_side(W.transpose() * a + turning);

@@ -20,6 +20,7 @@ SCENES: dict[str, Callable[[], scenes.Start]] = {
     "equalities": scenes.followers,
     "rod": lambda: scenes.box_on_rod(driven=False),
     "driven rod": lambda: scenes.box_on_rod(driven=True),
+    "prescribed pose": scenes.moved_pendulum,
     "point": lambda: scenes.pair_of_bodies(lambda s: s.add_point("a", "b", (0.1, 0.2, 0.05))),
     "weld": lambda: scenes.pair_of_bodies(lambda s: s.add_weld("a", "b")),
     "hinge": lambda: scenes.pair_of_bodies(lambda s: s.add_screw("a", "b", 0.0, scenes.TWISTED)),

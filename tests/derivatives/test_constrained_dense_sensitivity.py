@@ -306,12 +306,3 @@ def test_a_linkage_that_rests_at_a_stop_has_no_derivative_but_zero():
     S = traj.sensitivity(["q0", "v0"])
     assert not S.report.approximate
     assert np.abs(S.matrix[-1]).max() <= 1e-7
-
-
-def test_a_body_whose_pose_is_prescribed_has_no_derivative():
-    scene = cvi.Scene()
-    tray = scene.add_box("tray", (1.0, 1.0, 0.02), mass=1.0)
-    scene.prescribe(tray, lambda t: (pin.SE3.Identity(), (np.zeros(3), np.zeros(3))), name="motion")
-    with pytest.raises(cvi.NotDifferentiable) as found:
-        cvi.simulate(scene, scene.assemble(), duration=0.1, dt=0.01, record="gradient", contact_mode="steps")
-    assert found.value.reason == "constraint"

@@ -29,6 +29,7 @@ SMOOTH = {
     "a nut on a screw": lambda: scenes.pair_of_bodies(lambda s: s.add_screw("a", "b", 0.05, scenes.TWISTED)),
     "a hinge": lambda: scenes.pair_of_bodies(lambda s: s.add_screw("a", "b", 0.0, scenes.TWISTED)),
     "a chain of ball joints between two walls": scenes.chain_of_boxes,
+    "a box on a body with a prescribed pose": scenes.moved_pendulum,
 }
 # name -> start, duration, what happens to the contacts, number of impacts
 TOUCHING = {
@@ -51,6 +52,15 @@ TOUCHING = {
         lambda: scenes.towed_ball((KNOTS, [scenes.winch(t)[0] for t in KNOTS])),
         0.35,
         ["begin", "release"],
+        1,
+    ),
+    "a ball bounces on a moved plate": (lambda: scenes.ball_on_moved_plate(0.9, 0.3), 0.06, [], 1),
+    "a ball slides on a moved plate": (lambda: scenes.ball_on_moved_plate(0.0, 0.05), 0.2, ["begin"], 1),
+    "a ball rolls on a moved plate": (lambda: scenes.ball_on_moved_plate(0.0, 0.8), 0.2, ["begin"], 1),
+    "a ball leaves a moved plate": (
+        lambda: scenes.ball_on_moved_plate(0.0, 0.1, 0.06),
+        0.2,
+        ["begin", "slip", "release"],
         1,
     ),
     "joined balls drop one after the other": (lambda: scenes.joined_balls(0.1), 0.3, ["begin", "begin"], 6),
@@ -113,6 +123,7 @@ DTEC = {
     "a linkage bounces off a stop": (lambda: scenes.linkage_at_stop(0.7), 0.6, 1),
     "a linkage strikes a ball": (lambda: scenes.striker(0.8, 0.0), 0.5, 1),
     "a driven arm bounces": (lambda: scenes.driven_arm_at_wall(0.5, 0.0), 0.28, 1),
+    "a ball bounces on a moved plate": (lambda: scenes.ball_on_moved_plate(0.9, 0.0), 0.06, 1),
     "a driven arm bounces again and again": (lambda: scenes.driven_arm_at_wall(0.8, 0.0), 0.6, 2),
 }
 

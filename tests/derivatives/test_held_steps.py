@@ -150,6 +150,32 @@ def test_servos_press_a_tip_that_slides(joint_friction, duration, order):
     assert transpose_error(traj, ["q0", "v0", "control", "friction"]) <= 2e-12
 
 
+@pytest.mark.parametrize("order", [8, 16])
+def test_servos_at_their_limits_press_a_tip(order):
+    """They leave their limits, and come to them again, while the tip slides. That the times of it move is left out: the
+    derivative is that of the run to its order."""
+    scene, q, v = servo_arm(0.3)
+    scene.set_servo("joint_1", 30.0, 1.0, effort=8.0)
+    scene.set_servo("joint_2", 20.0, 0.5, effort=4.0)
+    options = {"dt": 0.01, "order": order, "target": [0.1, 0.9]}
+    traj, q, v = recorded((scene, q, v), duration=0.9, **options)
+    first = traj.contact_changes[0]
+    assert [c.change for c in traj.contact_changes] == ["begin", "slip"]
+    before = cvi.simulate(scene, q, v, duration=round(first.time, 2), **options)
+    assert traj.stats.switches >= before.stats.switches + 2
+    check((scene, q, v), [0, 1, 2, 3], (1e-4, 5e-5), duration=0.9, **options)
+    assert transpose_error(traj, ["q0", "v0", "control", "friction"]) <= 2e-12
+
+
+@pytest.mark.parametrize("order", [8, 16])
+def test_a_servo_at_its_limit_drives_a_linkage(order):
+    scene, q, v = scenes.linkage()
+    scene.set_servo("j1", 60.0, 2.0, effort=3.0)
+    traj, *_ = recorded((scene, q, v), duration=0.4, dt=0.01, order=order, target=[1.0])
+    assert traj.stats.switches >= 1
+    check_beside_constraints(lambda: (scene, q, v), (4e-4, 2e-4), duration=0.4, dt=0.01, order=order, target=[1.0])
+
+
 def pendulum(friction: float) -> Start:
     scene = cvi.Scene()
     scene.add_urdf(MODELS / "double_pendulum.urdf", limits=False)

@@ -339,6 +339,47 @@ def balls_on_a_lift(restitution: float, friction: float) -> Start:
     return scene, q, v
 
 
+def swing(t: float) -> tuple[pin.SE3, tuple[np.ndarray, np.ndarray]]:
+    """The pose and the velocity of a frame that turns about changing axes while it moves."""
+    angles = np.array([0.3 * math.sin(2 * t), 0.5 * t, 0.2 * t * t])
+    rates = np.array([0.6 * math.cos(2 * t), 0.5, 0.4 * t])
+    place = np.array([0.1 * math.sin(2 * t), 0.2 * t, 0.05 * math.cos(3 * t)])
+    speed = np.array([0.2 * math.cos(2 * t), 0.2, -0.15 * math.sin(3 * t)])
+    R = pin.exp3(angles)
+    return pin.SE3(R, place), (speed, R @ pin.Jexp3(angles) @ rates)
+
+
+def moved_pendulum() -> Start:
+    """A box that hangs on a body with a prescribed pose, on a ball joint beside its origin."""
+    scene = cvi.Scene()
+    scene.add_box("wrist", (0.1, 0.2, 0.3), mass=1.0)
+    scene.add_box("bob", (0.1, 0.05, 0.2), mass=0.5)
+    scene.disable_pair("wrist", "bob")
+    scene.prescribe("wrist", swing, name="motion")
+    scene.add_point("wrist", "bob", (0.1, 0.05, -0.2), (0.0, 0.02, 0.2))
+    q, _ = on_constraints(scene, pin.neutral(scene.model), np.zeros(scene.nv))
+    return scene, q, speeds(scene, 0.5)
+
+
+def ball_on_moved_plate(restitution: float, friction: float, shake: float = 0.0) -> Start:
+    """A ball falls on a plate that turns, moves and, with a shake [m], is torn down from under it."""
+
+    def motion(t: float) -> tuple[pin.SE3, tuple[np.ndarray, np.ndarray]]:
+        place, (speed, turn) = swing(t)
+        place.translation[2] += shake * math.sin(15 * t)
+        return place, (speed + [0.0, 0.0, 15 * shake * math.cos(15 * t)], turn)
+
+    scene = cvi.Scene()
+    scene.add_box("plate", (1.5, 1.5, 0.02), mass=1.0)
+    scene.add_sphere("ball", 0.1, mass=0.5)
+    scene.prescribe("plate", motion, name="motion")
+    scene.set_contact(restitution=restitution, friction=friction)
+    q, v = on_constraints(scene, pin.neutral(scene.model), np.zeros(scene.nv))
+    q[7:10] = [0.05, 0.03, q[2] + 0.115]
+    v[6:] = [0.3, 0.4, -0.2, 1.0, -0.5, 0.3]
+    return scene, q, v
+
+
 def on_constraints(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """The state near (q, v) that satisfies the constraints to rounding, by Newton steps of least length."""
     core = scene.core()
