@@ -86,7 +86,7 @@ def urdf_case(path: Path, held: bool) -> tuple[cvi.Scene, np.ndarray, Any, Any]:
     from contactvi.bench.mujoco_peer import MujocoPeer
 
     options, scene = robot_files.options_of(path), cvi.Scene()
-    scene.add_urdf(path, restitution=0.0, **options)
+    scene.add_urdf(path, **options)
     poses = scene.named_configurations
     q = next(iter(poses.values()))[0] if poses else scene.neutral()
     scene.disable_overlapping(q)

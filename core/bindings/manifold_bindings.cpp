@@ -103,7 +103,7 @@ std::tuple<double, double, Vec3, Vec3> rest_gap(const Scene& s, const VecX& q, i
   for (const ContactPoint& p : points) persistent.push_back(&p);
   Contact c{};
   const double gap = touch.manifolds.next_gap(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()),
-                                              touch.witness, c);
+                                              &touch.witness, std::numeric_limits<double>::infinity(), c);
   return {gap, c.gap, c.normal, 0.5 * (c.point_a + c.point_b)};
 }
 

@@ -16,6 +16,9 @@ constexpr double kSmooth = 1.0 / 16;          // longest smooth part of the step
 constexpr double kTurn = 0.15;                // [rad] in which both bodies together turn by no more
 constexpr double kFinest = 1.0 / (1L << 24);  // least part of the step in the search for a dip
 constexpr int kMaxIterations = 60;
+// Of the motion in the step: from gaps that are larger the guard does not come to zero, nor is any interval between two
+// such gaps cut.
+constexpr double kFar = 2.0;
 
 bool is_dip(const GapPath::Point& a, const GapPath::Point& b) { return a.rate < 0.0 && b.rate >= 0.0; }
 
@@ -53,7 +56,7 @@ GapPath::Point GapPath::at(int guard, double tau) {
   guards_->list_joints(guard, joints_);
   path_->configuration(tau, joints_, q_);
   guards_->place(q_);
-  const double gap = guards_->evaluate(guard, contact_);
+  const double gap = guards_->evaluate(guard, contact_, kFar * guards_->motion(guard));
   if (!std::isfinite(gap)) return {tau, gap, gap};
   guards_->gradient(guard, contact_, W_);
   return {tau, gap, rate(guard, tau, W_)};

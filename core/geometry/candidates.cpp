@@ -33,18 +33,31 @@ int vertices_over(const Over& o, int f, CandidateSink& sink) {
   const Vec3 n = o.R.transpose() * face.normal;  // in the other's frame
   const double base = face.normal.dot(o.p) - face.offset - o.plane->radius - o.other->radius;
   const Feature kind = o.on_b ? Feature::kVertexB : Feature::kVertexA;
+  const std::vector<Vec3>& vertices = o.other->vertices;
+  const auto look_at = [&](int i, double gap) {
+    if (gap > sink.limit) return;
+    const Vec3 x = o.R * vertices[i] + o.p;
+    if (outside_of(*o.plane, face, x) > kBorder) return;
+    sink.add({feature_number(kind, i, f), gap, o.plane_pose.point(x)});
+  };
   int lowest = -1;
+  HullWalk::List near;
+  if (!o.other->walk.none() && sink.limit < std::numeric_limits<double>::infinity()) {
+    lowest = o.other->walk.farthest(vertices, -n);
+    if (lowest >= 0 && o.other->walk.list(vertices, -n, lowest, base - sink.limit, near)) {
+      for (int k = 0; k < near.count; ++k) look_at(near.vertices[k], n.dot(vertices[near.vertices[k]]) + base);
+      return lowest;
+    }
+  }
+  lowest = -1;
   double least = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < static_cast<int>(o.other->vertices.size()); ++i) {
-    const double gap = n.dot(o.other->vertices[i]) + base;
+  for (int i = 0; i < static_cast<int>(vertices.size()); ++i) {
+    const double gap = n.dot(vertices[i]) + base;
     if (gap < least) {
       least = gap;
       lowest = i;
     }
-    if (gap > sink.limit) continue;
-    const Vec3 x = o.R * o.other->vertices[i] + o.p;
-    if (outside_of(*o.plane, face, x) > kBorder) continue;
-    sink.add({feature_number(kind, i, f), gap, o.plane_pose.point(x)});
+    look_at(i, gap);
   }
   return lowest;
 }
@@ -146,17 +159,38 @@ void edges_near(const ShapeFeatures& o, int face, int vertex, std::vector<int>& 
   if (o.edges.size() == 1 && list.empty()) list.push_back(0);
 }
 
+// Where a line is: its middle, half its length, and the heights along n of both.
+Reach reach_of(const Line& line, const Vec3& n) {
+  const double half = 0.5 * line.length;
+  const Vec3 middle = line.start + half * line.direction;
+  return {middle, half, n.dot(middle), half * std::abs(n.dot(line.direction))};
+}
+
+// Whether two edges are farther from each other than `far`, and higher over each other along n, wherever they cross in
+// the view along it.
+bool are_apart(const Reach& a, const Reach& b, double far) {
+  if (!(b.height - a.height - a.rise - b.rise > far)) return false;
+  const double reach = far + a.half + b.half;
+  return (b.middle - a.middle).squaredNorm() > reach * reach;
+}
+
 void edges_across(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {
   edges.lines_b.clear();
-  for (int j : edges.b) edges.lines_b.push_back(line_of(*v.b, v.pose_b, j));
+  edges.reaches_b.clear();
+  for (int j : edges.b) {
+    edges.lines_b.push_back(line_of(*v.b, v.pose_b, j));
+    edges.reaches_b.push_back(reach_of(edges.lines_b.back(), sides.n_W));
+  }
   // Of two capsules the nearest points are known without their crossing.
   const bool cross = !v.a->faces.empty() || !v.b->faces.empty();
   Crossing c;
   for (int i : edges.a) {
     const Line a = line_of(*v.a, v.pose_a, i);
+    const Reach reach_a = reach_of(a, sides.n_W);
     for (std::size_t k = 0; k < edges.b.size(); ++k) {
       const Line& b = edges.lines_b[k];
       const int j = edges.b[k];
+      if (are_apart(reach_a, edges.reaches_b[k], std::max(0.0, sink.limit) + a.radius + b.radius + kBorder)) continue;
       list_line_ends(v, i, a, j, b, upcoming, sink);
       if (!cross || are_flat(a, b) || !cross_lines(a, b, sides.n_W, kBorder, c)) continue;
       const bool over = c.beyond <= kBorder;

@@ -13,9 +13,17 @@ struct Sides {
   Vec3 n_W;
 };
 
+// Where an edge reaches: its middle and half its length, and along the normal the height of the middle and how far the
+// ends are above or below it.
+struct Reach {
+  Vec3 middle;
+  double half, height, rise;
+};
+
 struct EdgeLists {
   std::vector<int> a, b;
   std::vector<Line> lines_b;
+  std::vector<Reach> reaches_b;
 };
 
 // Tilt up to which a rim lies flat: R sin(tilt) [m].

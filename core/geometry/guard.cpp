@@ -187,15 +187,23 @@ void Guards::list_meeting(std::vector<int>& guards) {
   for (int k = pairs_; k < count_; ++k) guards.push_back(k);
 }
 
-double Guards::evaluate(int guard, Contact& contact) {
+double Guards::evaluate(int guard, Contact& contact, double enough) {
   if (persistent_number_[guard] < 0) return evaluate_witness(guard, contact);
   const std::vector<const ContactPoint*>& persistent = persistent_points_[persistent_number_[guard]];
   double gap = kInfinity;
   Contact witness{};
   if (persistent[0]->kind != PointKind::kWitness && persistent[0]->kind != PointKind::kLimit) {
-    evaluate_witness(guard, witness);
+    const auto count = static_cast<int>(persistent.size());
+    place_pair(guard);
+    const bool bounded = manifolds_.none_deeper(guard, placements_, persistent.data(), count);
+    if (bounded) {
+      ++counters.evaluated;
+      counters.cost += costs::near_distance();
+    } else {
+      evaluate_witness(guard, witness);
+    }
     contact = witness;
-    gap = manifolds_.next_gap(guard, placements_, persistent.data(), static_cast<int>(persistent.size()), witness,
+    gap = manifolds_.next_gap(guard, placements_, persistent.data(), count, bounded ? nullptr : &witness, enough,
                               contact);
   }
   if (gap == kInfinity) {

@@ -16,6 +16,7 @@
 #pragma once
 
 #include <algorithm>
+#include <limits>
 #include <vector>
 
 #include "geometry/broad_phase.hpp"
@@ -47,8 +48,9 @@ class Guards {
   void place(const VecCRef& q);
 
   // Exact gap [m] or [rad] at the placed configuration, not finite if coal fails. For a guard with persistent contacts
-  // it is the least gap of the other features, kNothingElse if no other feature can touch.
-  double evaluate(int guard, Contact& contact);
+  // it is the least gap of the other features, kNothingElse if no other feature can touch, or none is nearer than
+  // `enough`.
+  double evaluate(int guard, Contact& contact, double enough = std::numeric_limits<double>::infinity());
   static constexpr double kNothingElse = 1e9;
   // The bodies have been put to a new place: what is known about their distances and their motion is forgotten.
   void restart();

@@ -241,9 +241,9 @@ bool is_over(const Parts& parts, const ContactPoint& point, const Placements& at
 // The candidate with the least gap that is no persistent contact.
 class Manifolds::Least final : public CandidateSink {
  public:
-  Least(const Manifolds& owner, const Placements& at, const ContactPoint* const* persistent, int count)
-      : owner_(owner), at_(at), persistent_(persistent), count_(count) {
-    limit = kInfinity;
+  Least(const Manifolds& owner, const Placements& at, const ContactPoint* const* persistent, int count, double enough)
+      : owner_(owner), at_(at), persistent_(persistent), count_(count), enough_(enough) {
+    limit = enough;
     supported_ = count >= std::min(3, owner.max_points_);
   }
 
@@ -265,6 +265,7 @@ class Manifolds::Least final : public CandidateSink {
     best = c;
   }
 
+  double value() const { return limit < enough_ ? limit : kInfinity; }
   Candidate best{};
 
  private:
@@ -282,6 +283,7 @@ class Manifolds::Least final : public CandidateSink {
   const Placements& at_;
   const ContactPoint* const* persistent_;
   int count_;
+  double enough_;
   bool supported_;  // at enough points to fix the faces to each other
 };
 
@@ -375,16 +377,16 @@ bool Manifolds::take_out(std::vector<std::int64_t>& features) {
 }
 
 double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
-                           const Contact& witness, Contact& contact) {
+                           const Contact* witness, double enough, Contact& contact) {
   if (is_single(pair)) return kInfinity;
   const PairView v = view(pair, at);
   const ContactPoint* known = nullptr;
   for (int i = 0; i < count && known == nullptr; ++i)
     if (persistent[i]->feature != 0) known = persistent[i];
-  const Sides sides = known != nullptr ? sides_of_point(v, *known, at) : sides_of_witness(v, witness);
-  Least least(*this, at, persistent, count);
+  const Sides sides = known != nullptr ? sides_of_point(v, *known, at) : sides_of_witness(v, *witness);
+  Least least(*this, at, persistent, count, enough);
   list_candidates(v, sides, true, edges_, least);
-  double value = least.limit;
+  double value = least.value();
   if (value < kInfinity) evaluate(make_point(pair, v, least.best, sides.n_W), at, contact);
   for (int i = 0; i < count; ++i) {
     if (persistent[i]->kind != PointKind::kRim) continue;
@@ -394,7 +396,29 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
     value = gap;
     contact = far;
   }
-  return count > 0 ? include_witness(pair, at, persistent, count, witness, value, contact) : value;
+  if (count == 0 || witness == nullptr) return value;
+  return include_witness(pair, at, persistent, count, *witness, value, contact);
+}
+
+double Manifolds::deepest(const ContactPoint* const* points, int count, const Placements& at) const {
+  double least = 0.0;
+  for (int i = 0; i < count; ++i) {
+    if (points[i]->kind == PointKind::kWitness || points[i]->kind == PointKind::kLimit) return kInfinity;
+    Contact c;
+    evaluate(*points[i], at, c);
+    least = std::min(least, c.gap);
+  }
+  return least;
+}
+
+bool Manifolds::none_deeper(int pair, const Placements& at, const ContactPoint* const* persistent, int count) const {
+  if (is_single(pair) || persistent[0]->feature == 0) return false;
+  const double least = deepest(persistent, count, at);
+  if (least == kInfinity) return false;
+  const PairView v = view(pair, at);
+  Contact contact;
+  evaluate(*persistent[0], at, contact);
+  return gap_along(*v.a, v.pose_a, *v.b, v.pose_b, contact.normal) - least >= -kDeeper * noise(pair);
 }
 
 // Where coal's distance is deeper than the persistent points, a feature has closed that the faces do not list: coal's
@@ -402,13 +426,8 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
 double Manifolds::include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                                   const Contact& witness, double value, Contact& contact) const {
   const double noise = this->noise(pair);
-  double least = 0.0;
-  for (int i = 0; i < count; ++i) {
-    if (persistent[i]->kind == PointKind::kWitness || persistent[i]->kind == PointKind::kLimit) return value;
-    Contact c;
-    evaluate(*persistent[i], at, c);
-    least = std::min(least, c.gap);
-  }
+  const double least = deepest(persistent, count, at);
+  if (least == kInfinity) return value;
   const double deeper = witness.gap - least;
   if (!(deeper < -kDeeper * noise) || deeper + kBelow * noise >= value) return value;
   contact = witness;
@@ -437,7 +456,8 @@ bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
     return true;
   }
   if (is_single(pair) || !(a.is_unbounded() || b.is_unbounded())) return false;
-  next_gap(pair, at, nullptr, 0, Contact{}, contact);
+  const Contact none{};
+  next_gap(pair, at, nullptr, 0, &none, kInfinity, contact);
   return true;
 }
 

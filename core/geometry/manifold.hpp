@@ -128,9 +128,12 @@ class Manifolds {
   // there are none. contact: of that feature. To features that touch merely because the persistent points do (further
   // corners of a face with three persistent points, the rim of such points) kNextGapSlack is added, so that their gaps
   // do not change sign by rounding: contact.gap is lower than the result by that much. The far side of a rim that falls
-  // flat closes 5e-12 m early.
+  // flat closes 5e-12 m early. witness: null where none_deeper(). Gaps of features above `enough` count as infinite.
   double next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
-                  const Contact& witness, Contact& contact);
+                  const Contact* witness, double enough, Contact& contact);
+  // Whether the pair is no deeper than its persistent points, seen without its distance: from how far its shapes are
+  // from each other along the normal of one of these.
+  bool none_deeper(int pair, const Placements& at, const ContactPoint* const* persistent, int count) const;
 
   // Whether both shapes are capsules or cylinders, whose axes are lines; whether both are capsules.
   bool has_lines(int pair) const;
@@ -140,6 +143,8 @@ class Manifolds {
   double noise(int pair) const;
 
  private:
+  // Least gap of points with features of their own, at most 0; infinite with another point among them.
+  double deepest(const ContactPoint* const* points, int count, const Placements& at) const;
   double include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                          const Contact& witness, double value, Contact& contact) const;
   const ShapeFeatures& features(int pair, int geometry) const;

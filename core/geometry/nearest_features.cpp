@@ -50,14 +50,7 @@ Vec3 support(const ShapeFeatures& o, const Vec3& m, int* vertex = nullptr) {
     const ShapeFeatures::Rim& rim = m.dot(o.rims[0].axis) >= 0.0 ? o.rims[0] : o.rims[1];
     return lowest_of_rim(rim.center, rim.axis, rim.radius, -m);
   }
-  int best = 0;
-  double most = -INFINITY;
-  for (int i = 0; i < static_cast<int>(o.vertices.size()); ++i) {
-    const double along = m.dot(o.vertices[i]);
-    if (along <= most) continue;
-    most = along;
-    best = i;
-  }
+  const int best = farthest_vertex(o, m);
   if (vertex != nullptr) *vertex = best;
   return o.vertices[best];
 }
@@ -391,6 +384,17 @@ class Refinement {
 };
 
 }  // namespace
+
+double gap_along(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
+                 const Vec3& n_W) {
+  if (a.ellipsoid || b.ellipsoid) return -INFINITY;
+  const double radii = a.radius + b.radius;
+  if (!a.is_unbounded() && !b.is_unbounded()) return along_normal(a, pose_a, b, pose_b, n_W) - radii;
+  const ShapeFeatures &plane = a.is_unbounded() ? a : b, &other = a.is_unbounded() ? b : a;
+  const Pose &plane_pose = a.is_unbounded() ? pose_a : pose_b, &other_pose = a.is_unbounded() ? pose_b : pose_a;
+  const Vec3 n = plane_pose.R * plane.faces[0].normal, x = other_pose.point(support(other, into(other_pose, -n)));
+  return n.dot(x - plane_pose.p) - plane.faces[0].offset - radii;
+}
 
 bool refine_nearest(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
                     Contact& contact) {

@@ -18,4 +18,9 @@ namespace contactvi {
 bool refine_nearest(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
                     Contact& contact);
 
+// A lower bound on the gap of two shapes: how far they are from each other along the unit vector n_W from a to b, along
+// its own normal over a halfspace; minus infinity with an ellipsoid.
+double gap_along(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
+                 const Vec3& n_W);
+
 }  // namespace contactvi

@@ -131,6 +131,10 @@ void add_hull(ShapeFeatures& o, const Geometry& g, const Hull& hull, bool meets_
   for (unsigned i = 0; i < hull.num_points; ++i) points.push_back(to_body(g, (*hull.points)[i]));
   const HullFaces faces(points, *hull.polygons);
   add_polygons(o, points, faces.merged(o.roughness));
+  std::vector<std::array<int, 2>> ends;
+  ends.reserve(o.edges.size());
+  for (const ShapeFeatures::Edge& e : o.edges) ends.push_back({e.v0, e.v1});
+  o.walk = HullWalk(o.vertices, ends, o.roughness);
   if (!meets_ellipsoid) return;
   auto triangles = std::make_shared<ShapeFeatures>();
   triangles->radius = o.radius;
@@ -225,6 +229,19 @@ void add_shape_features(Scene& scene) {
           });
       if (may_be_refused(rounded ? *g.rounded : *g.sharp)) features->get();
     }
+}
+
+int farthest_vertex(const ShapeFeatures& o, const Vec3& m) {
+  int best = o.walk.none() ? -1 : o.walk.farthest(o.vertices, m);
+  if (best >= 0) return best;
+  double most = -std::numeric_limits<double>::infinity();
+  for (int i = 0; i < static_cast<int>(o.vertices.size()); ++i) {
+    const double along = m.dot(o.vertices[i]);
+    if (along <= most) continue;
+    most = along;
+    best = i;
+  }
+  return best;
 }
 
 double outside_of(const ShapeFeatures& o, const ShapeFeatures::Face& face, const Vec3& x) {

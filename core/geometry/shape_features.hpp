@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "geometry/ellipsoid.hpp"
+#include "geometry/hull_walk.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -61,6 +62,7 @@ struct ShapeFeatures {
   std::vector<Vec3> side;  // outward normal of the polygon's side there, in its plane
   std::vector<double> side_offset;
   std::vector<std::vector<int>> vertex_edges, vertex_faces;
+  HullWalk walk;                         // of a hull with many vertices
   std::vector<std::vector<int>> plates;  // faces that meet at less than 1e-4 rad: together one flat side
 
   bool is_unbounded() const { return !faces.empty() && std::isinf(faces[0].radius); }
@@ -80,6 +82,8 @@ inline const ShapeFeatures& features_for_ellipsoid(const ShapeFeatures& shape) {
   return shape.triangles ? *shape.triangles : shape;
 }
 
+// The vertex that lies farthest along the unit vector m, the first of several; of a shape that has vertices.
+int farthest_vertex(const ShapeFeatures& shape_features, const Vec3& m);
 // How far x lies outside of the prism over a face [m], negative inside; 0 over a halfspace.
 double outside_of(const ShapeFeatures& shape_features, const ShapeFeatures::Face& face, const Vec3& x);
 

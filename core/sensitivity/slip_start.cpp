@@ -10,8 +10,8 @@
 namespace contactvi {
 
 namespace {
-// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; of the time
-// of prescribed motions [s].
+// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; of
+// the time of prescribed motions [s].
 constexpr double kStep = 1e-5, kTurn = 1e-3, kTime = 5e-4;
 // Of the mobility along the normal: less than that across a slip is none; and of the largest pivot.
 constexpr double kPlane = 1e-12, kDependent = 1e-7;
