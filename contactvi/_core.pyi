@@ -995,6 +995,16 @@ def nearest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(N
     Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.
     """
 
+def none_deeper(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4) -> tuple[bool, float]:
+    """
+    Whether a pair is seen to be no deeper than the points of these features without its distance, and by how much its distance is larger than their least gap.
+    """
+
+def walk_hull(vertices: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], edges: Sequence[Sequence[int]], roughness: float, directions: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], depth: float) -> list[tuple[int, list[int] | None]]:
+    """
+    Of a hull with many vertices, (n, 3), and edges between these, (m, 2): per unit direction, (k, 3), the farthest vertex, -1 where it is not known, and a list of the vertices that miss it by at most a depth [m], among others, or None. Empty for few vertices.
+    """
+
 def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4) -> tuple[float, float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:
     """
     (least gap over all features but these, slack included; that feature's gap, normal and point).

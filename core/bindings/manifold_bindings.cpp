@@ -1,5 +1,7 @@
 // Contact points of a pair at one configuration, and the pairs that a sequence of steps looks at, for tests.
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -14,6 +16,7 @@
 #include "geometry/candidates.hpp"
 #include "geometry/distance_bounds.hpp"
 #include "geometry/guard.hpp"
+#include "geometry/hull_walk.hpp"
 #include "geometry/manifold.hpp"
 
 namespace nb = nanobind;
@@ -105,6 +108,44 @@ std::tuple<double, double, Vec3, Vec3> rest_gap(const Scene& s, const VecX& q, i
   const double gap = touch.manifolds.next_gap(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()),
                                               &touch.witness, std::numeric_limits<double>::infinity(), c);
   return {gap, c.gap, c.normal, 0.5 * (c.point_a + c.point_b)};
+}
+
+// Whether the pair is known to be no deeper than these points, and coal's gap less theirs.
+std::pair<bool, double> none_deeper(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features,
+                                    int max_points) {
+  Touch touch(s, q, pair, max_points);
+  const std::vector<ContactPoint> points = points_of(touch, pair, features);
+  std::vector<const ContactPoint*> persistent;
+  double least = 0.0;
+  for (const ContactPoint& p : points) {
+    persistent.push_back(&p);
+    Contact c{};
+    touch.manifolds.evaluate(p, touch.at, c);
+    least = std::min(least, c.gap);
+  }
+  const bool known = touch.manifolds.none_deeper(pair, touch.at, persistent.data(), static_cast<int>(points.size()));
+  return {known, touch.witness.gap - least};
+}
+
+// Per direction, (k, 3), the farthest vertex, -1: not known, and the vertices that miss it by at most the depth, if they
+// are known.
+std::vector<std::pair<int, std::optional<std::vector<int>>>> walk_hull(const std::vector<Vec3>& vertices,
+                                                                       const std::vector<std::array<int, 2>>& ends,
+                                                                       double roughness, const Rows& directions,
+                                                                       double depth) {
+  if (directions.cols() != 3) throw Error("expected shape (k, 3)");
+  const HullWalk walk(vertices, ends, roughness);
+  if (walk.none()) return {};
+  std::vector<std::pair<int, std::optional<std::vector<int>>>> found;
+  for (Eigen::Index k = 0; k < directions.rows(); ++k) {
+    const Vec3 m = directions.row(k);
+    const int farthest = walk.farthest(vertices, m);
+    HullWalk::List list;
+    found.emplace_back(farthest, std::nullopt);
+    if (farthest >= 0 && walk.list(vertices, m, farthest, m.dot(vertices[farthest]) - depth, list))
+      found.back().second.emplace(list.vertices.begin(), list.vertices.begin() + list.count);
+  }
+  return found;
 }
 
 double nearest_gap(const Scene& s, const VecX& q, int pair) {
@@ -215,6 +256,15 @@ void expose_manifold(nb::module_& m) {
       "q"_a, "pair"_a, "How far the distance of a pair may be from the gap of its lowest point [m].");
   m.def("nearest_gap", &nearest_gap, "scene"_a, "q"_a, "pair"_a,
         "Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.");
+  m.def(
+      "none_deeper", &none_deeper, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
+      "Whether a pair is seen to be no deeper than the points of these features without its distance, and by how much "
+      "its distance is larger than their least gap.");
+  m.def(
+      "walk_hull", &walk_hull, "vertices"_a, "edges"_a, "roughness"_a, "directions"_a, "depth"_a,
+      "Of a hull with many vertices, (n, 3), and edges between these, (m, 2): per unit direction, (k, 3), the farthest "
+      "vertex, -1 where it is not known, and a list of the vertices that miss it by at most a depth [m], among others, "
+      "or None. Empty for few vertices.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
         "(least gap over all features but these, slack included; that feature's gap, normal and point).");
 }

@@ -1,0 +1,115 @@
+"""The farthest vertices of large hulls, found from edge to edge, against a look at all; and what spares a distance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from contactvi import _core
+from helpers.touching_pairs import Two, hull, pose, prism, turn
+
+RNG = np.random.default_rng(11)
+
+
+def skeleton(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) of the hull of points, and the edges (m, 2) of its triangles."""
+    found = ConvexHull(points)
+    number = np.full(len(points), -1)
+    number[found.vertices] = np.arange(len(found.vertices))
+    triangles = number[found.simplices]
+    sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    return points[found.vertices], np.unique(sides, axis=0)
+
+
+def prism_skeleton(corners: int) -> tuple[np.ndarray, np.ndarray]:
+    """Its flat ends as polygons: no diagonals."""
+    around = np.arange(corners)
+    ends = [2 * around + k for k in (0, 1)]
+    sides = [np.stack([end, np.roll(end, -1)], axis=1) for end in ends]
+    return prism(corners), np.concatenate([*sides, np.stack(ends, axis=1)])
+
+
+def sphere_points(n: int) -> np.ndarray:
+    x = RNG.standard_normal((n, 3))
+    return x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def rounded_box(n: int) -> np.ndarray:
+    x = sphere_points(n)
+    return x / np.sum(x**8, axis=1, keepdims=True) ** 0.125
+
+
+HULLS = {
+    "a ball": lambda: skeleton(sphere_points(400)),
+    "a flat disc": lambda: skeleton(sphere_points(600) * [1.0, 0.8, 1e-3]),
+    "a needle": lambda: skeleton(sphere_points(300) * [1e-2, 1e-2, 1.0] + [3.0, -2.0, 1.0]),
+    "a rounded box": lambda: skeleton(rounded_box(1500)),
+    "a prism": lambda: prism_skeleton(150),
+}
+
+
+def directions(vertices: np.ndarray, count: int = 600) -> np.ndarray:
+    """Random ones, those of the axes, and along vertices and between them, where several are nearly as far."""
+    between = vertices[RNG.integers(0, len(vertices), count)] + vertices[RNG.integers(0, len(vertices), count)]
+    between = between[np.linalg.norm(between, axis=1) > 1e-6]
+    found = np.concatenate([sphere_points(count), np.eye(3), -np.eye(3), between])
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("name", HULLS)
+@pytest.mark.parametrize("roughness", [0.0, 3e-7])
+def test_the_farthest_vertices_are_those_of_a_look_at_all(name, roughness):
+    vertices, edges = HULLS[name]()
+    moved = vertices + roughness * RNG.uniform(-0.5, 0.5, vertices.shape)  # no exact hull any more
+    along = directions(moved)
+    depth = 1e-3
+    answers = _core.walk_hull(moved, edges, roughness, along, depth)
+    assert len(answers) == len(along)
+    known = 0
+    for m, (farthest, near) in zip(along, answers, strict=True):
+        heights = moved @ m
+        if farthest >= 0:
+            assert heights[farthest] >= heights.max() - 1e-15
+            known += 1
+        if near is not None:
+            assert near == sorted(set(near))
+            assert set(np.flatnonzero(heights >= heights[farthest] - depth)) <= set(near)
+    assert known >= 0.9 * len(along)
+
+
+def test_a_flat_end_with_many_corners_is_looked_at_as_a_whole():
+    vertices, edges = prism_skeleton(150)
+    farthest, near = _core.walk_hull(vertices, edges, 0.0, np.array([[0.0, 0.0, 1.0]]), 1e-3)[0]
+    assert farthest == -1
+    assert near is None
+
+
+def test_hulls_with_few_vertices_have_no_walk():
+    vertices, edges = prism_skeleton(20)
+    assert _core.walk_hull(vertices, edges, 0.0, np.eye(3), 1e-3) == []
+
+
+@pytest.mark.parametrize("count", [12, 300])
+def test_what_is_said_to_be_no_deeper_is_not(count):
+    """Random hulls in every contact, moved from there: its points known, the distance asked of coal."""
+    known = 0
+    for _ in range(60):
+        pair = Two(hull(sphere_points(count) * [0.1, 0.12, 0.05]), hull(sphere_points(count) * [0.2, 0.1, 0.1]))
+        R = turn(RNG.standard_normal(3), RNG.uniform(0.0, 3.0))
+        at = np.array([0.05, 0.02, 0.4]) * RNG.uniform(-1.0, 1.0, 3) + [0.0, 0.0, 0.4]
+        low, high = 0.0, 1.0  # along the line to the other centre: where they touch
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            apart = _core.contact_points(pair.core, pair.q(pose(), pose(*(middle * at), R)), 0, 1e9, 4)["gap"].min() > 0.0
+            low, high = (low, middle) if apart else (middle, high)
+        points = pair.points(pose(), pose(*(high * at), R))
+        if 0 in points["feature"] or not len(points["feature"]):
+            continue
+        for angle in (0.0, 1e-9, 1e-5, 1e-3):
+            moved = pose(*(high * at), turn(RNG.standard_normal(3), angle) @ R) if angle else pose(*(high * at), R)
+            none_deeper, deeper = _core.none_deeper(pair.core, pair.q(pose(), moved), 0, points["feature"])
+            known += none_deeper
+            noise = _core.distance_noise(pair.core, pair.q(pose(), moved), 0)
+            assert not (none_deeper and deeper < -noise - 1e-12)
+    assert known >= 20
