@@ -127,8 +127,8 @@ std::pair<bool, double> none_deeper(const Scene& s, const VecX& q, int pair, con
   return {known, touch.witness.gap - least};
 }
 
-// Per direction, (k, 3), the farthest vertex, -1: not known, and the vertices that miss it by at most the depth, if they
-// are known.
+// Per direction, (k, 3), the farthest vertex, -1: not known, and the vertices that miss it by at most the depth, if
+// they are known.
 std::vector<std::pair<int, std::optional<std::vector<int>>>> walk_hull(const std::vector<Vec3>& vertices,
                                                                        const std::vector<std::array<int, 2>>& ends,
                                                                        double roughness, const Rows& directions,

@@ -1,9 +1,9 @@
 // The vertices of a large hull that lie farthest along a direction, found from edge to edge instead of among all.
 //
-// On a convex polytope a vertex with no neighbour that lies farther is the farthest one, and the vertices beyond a plane
-// hang together by edges (Ziegler, "Lectures on Polytopes", 1995, section 3.2). Faces that are flat but for rounding
-// make hulls convex up to their roughness only: what lies nearer than that to the farthest vertex is looked at, too.
-// Answers are those of a look at all vertices, the first of several that are equally far among them.
+// On a convex polytope a vertex with no neighbour that lies farther is the farthest one, and the vertices beyond a
+// plane hang together by edges (Ziegler, "Lectures on Polytopes", 1995, section 3.2). Faces that are flat but for
+// rounding make hulls convex up to their roughness only: what lies nearer than that to the farthest vertex is looked
+// at, too. Answers are those of a look at all vertices, the first of several that are equally far among them.
 #pragma once
 
 #include <array>
@@ -31,8 +31,8 @@ class HullWalk {
   bool none() const { return first_.empty(); }
   // The vertex farthest along the unit vector m; -1 where too many are nearly so.
   int farthest(const std::vector<Vec3>& vertices, const Vec3& m) const;
-  // The vertices x with m.x >= least, and some that miss it by the roughness, ascending; farthest: of these. False where
-  // they are more than kMost.
+  // The vertices x with m.x >= least, and some that miss it by the roughness, ascending; farthest: of these. False
+  // where they are more than kMost.
   bool list(const std::vector<Vec3>& vertices, const Vec3& m, int farthest, double least, List& found) const;
 
  private:

@@ -101,7 +101,9 @@ def test_what_is_said_to_be_no_deeper_is_not(count):
         low, high = 0.0, 1.0  # along the line to the other centre: where they touch
         for _ in range(60):
             middle = 0.5 * (low + high)
-            apart = _core.contact_points(pair.core, pair.q(pose(), pose(*(middle * at), R)), 0, 1e9, 4)["gap"].min() > 0.0
+            apart = (
+                _core.contact_points(pair.core, pair.q(pose(), pose(*(middle * at), R)), 0, 1e9, 4)["gap"].min() > 0.0
+            )
             low, high = (low, middle) if apart else (middle, high)
         points = pair.points(pose(), pose(*(high * at), R))
         if 0 in points["feature"] or not len(points["feature"]):
