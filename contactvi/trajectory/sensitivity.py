@@ -273,7 +273,7 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
     compiled.check_differentiable()
     if inputs.saturated:
         raise NotDifferentiable(
-            "Actuators were at limits in contact steps, or at those of speed, or a rope with a damper became taut",
+            "Actuators were at their limits in contact steps, or of speed, or a rope with a damper became taut",
             reason="saturation", expected="limits of effort alone, in smooth steps; ropes without dampers",
             got=f"{inputs.saturated} steps in which a force is constant or jumps",
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False); give "
