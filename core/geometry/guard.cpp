@@ -198,7 +198,10 @@ double Guards::evaluate(int guard, Contact& contact, double enough) {
     const bool bounded = manifolds_.none_deeper(guard, placements_, persistent.data(), count);
     if (bounded) {
       ++counters.evaluated;
-      counters.cost += costs::near_distance();
+      // As much as with coal: by how much less it is has not been fitted.
+      const Pair& pair = scene_->pairs[guard];
+      const bool closed_form = scene_->geometries[pair.a].unbounded || scene_->geometries[pair.b].unbounded;
+      counters.cost += costs::near_distance() + (closed_form ? 0.0 : costs::distance());
     } else {
       evaluate_witness(guard, witness);
     }
