@@ -13,8 +13,7 @@ tree: the lists of files, and what each needs to load, are those of the tests.
 - Limp: no actuator acts. `--held`: servos hold the joints at the start; those of an MJCF are its position actuators, a
   URDF is given some that are as stiff as hold it.
 - Time: CPU time of 0.5 s in steps of 2 ms, of one thread, the best of up to three runs; the ratio is over MuJoCo's.
-  Columns besides: impacts, contact problems and distance calls per step, steps with dense contact, the least gap at the
-  end [m].
+  Columns besides: impacts, steps that were halved, dense steps, the least gap at the end [m].
 """
 
 from __future__ import annotations
@@ -36,10 +35,11 @@ import numpy as np
 import contactvi as cvi
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from import_tables import above_a_floor, markdown
+
 from helpers import mjcf_files, robot_files
 
 SPAN, STEP = 0.5, 2e-3  # [s]
-DROP = 0.05  # [m] height above the floor from which a free robot falls
 SHORT, REPEATS = 1.0, 3  # [s]: runs that are made several times
 STIFF = 100.0  # [1/s] frequency of the servos that a URDF is given, about the inertia of their joints at the start
 Row = dict[str, Any]
@@ -93,12 +93,7 @@ def urdf_case(path: Path, held: bool) -> tuple[cvi.Scene, np.ndarray, Any, Any]:
     for joint in robot_files.beyond_limits(scene, q):
         scene.set_joint(joint, limits=False)
     if options["base"] == "free":
-        scene.add_halfspace(name="floor_below")
-        pairs = ["floor_below" in pair for pair in scene.pair_names]
-        if any(pairs):
-            q = q.copy()
-            gaps = np.asarray(scene.core().gaps(q)[0])[pairs]
-            q[scene.q_index("root_joint").start + 2] += DROP - float(gaps.min())
+        q = above_a_floor(scene, q)
     scene.set_contact(restitution=0.0, friction=0.6)
     q = scene.assemble(q)
     if held:
@@ -175,16 +170,15 @@ def ratio(row: Row) -> float:
 
 def table(rows: list[Row]) -> list[str]:
     head = ("file", "dofs", "pairs", "ms/s", "over MuJoCo", "impacts", "halved", "dense", "gap", "status")
-    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    cells = []
     for row in sorted(rows, key=ratio, reverse=True):
         counts = row.get("counts", {})
-        cells = (
+        cells.append([
             f"`{row['file']}`", row.get("dofs", "-"), row.get("pairs", "-"), f"{1e3 * row['seconds'] / SPAN:.3g}",
             f"{ratio(row):.3g}", counts.get("impacts", "-"), counts.get("halved", "-"), counts.get("dense_steps", "-"),
             f"{row.get('gap', float('nan')):.0e}", row["status"],
-        )  # fmt: skip
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return lines
+        ])  # fmt: skip
+    return markdown(head, [list(map(str, row)) for row in cells])
 
 
 def summary(rows: list[Row]) -> str:

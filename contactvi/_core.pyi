@@ -1005,9 +1005,9 @@ def walk_hull(vertices: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(3
     Of a hull with many vertices, (n, 3), and edges between these, (m, 2): per unit direction, (k, 3), the farthest vertex, -1 where it is not known, and a list of the vertices that miss it by at most a depth [m], among others, or None. Empty for few vertices.
     """
 
-def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4) -> tuple[float, float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:
+def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4, enough: float = float('inf')) -> tuple[float, float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:
     """
-    (least gap over all features but these, slack included; that feature's gap, normal and point).
+    (least gap over all features but these, slack included; that feature's gap, normal and point). Infinite where it is above `enough`, or where there is none.
     """
 
 class ImpactsAt:

@@ -50,6 +50,11 @@ class FrameState(NamedTuple):
     angular_velocity: Array
 
 
+def _slope(around: Sequence[Array] | Array, step: float) -> Array:
+    """Return a derivative to the fourth order, from values at -2, -1, 1 and 2 steps [s]."""
+    return np.asarray((around[0] - 8.0 * around[1] + 8.0 * around[2] - around[3]) / (12.0 * step))
+
+
 class PoseSignal:
     """A pose signal with a name, called as signal(t) -> FrameState; t [s].
 
@@ -111,7 +116,7 @@ class PoseSignal:
     def acceleration(self, t: float) -> Array:
         """Return the linear and the angular acceleration at t [s], (6,), by differences of the velocity."""
         around = [np.concatenate(self._call(t + k * _BESIDE)[2:]) for k in (-2, -1, 1, 2)]
-        return (around[0] - 8.0 * around[1] + 8.0 * around[2] - around[3]) / (12.0 * _BESIDE)
+        return _slope(around, _BESIDE)
 
     def gives_velocity(self, t: float) -> bool:
         """Return whether a function of the user gives a velocity beside the pose at t [s]."""
@@ -146,7 +151,7 @@ class PoseSignal:
                 for near in around
             ])  # fmt: skip
             self._refuse_jump(moved, t)
-            velocity = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * _STEP)
+            velocity = _slope(moved, _STEP)
         return FrameState(place.translation.copy(), place.rotation.copy(), velocity[:3], velocity[3:])
 
     def _refuse_jump(self, moved: Array, t: float) -> None:

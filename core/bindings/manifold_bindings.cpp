@@ -99,14 +99,15 @@ Dict points_of_features(const Scene& s, const VecX& q, int pair, const std::vect
 }
 
 std::tuple<double, double, Vec3, Vec3> rest_gap(const Scene& s, const VecX& q, int pair,
-                                                const std::vector<std::int64_t>& features, int max_points) {
+                                                const std::vector<std::int64_t>& features, int max_points,
+                                                double enough) {
   Touch touch(s, q, pair, max_points);
   const std::vector<ContactPoint> points = points_of(touch, pair, features);
   std::vector<const ContactPoint*> persistent;
   for (const ContactPoint& p : points) persistent.push_back(&p);
   Contact c{};
   const double gap = touch.manifolds.next_gap(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()),
-                                              &touch.witness, std::numeric_limits<double>::infinity(), c);
+                                              &touch.witness, enough, c);
   return {gap, c.gap, c.normal, 0.5 * (c.point_a + c.point_b)};
 }
 
@@ -266,7 +267,10 @@ void expose_manifold(nb::module_& m) {
       "vertex, -1 where it is not known, and a list of the vertices that miss it by at most a depth [m], among others, "
       "or None. Empty for few vertices.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
-        "(least gap over all features but these, slack included; that feature's gap, normal and point).");
+        "enough"_a = std::numeric_limits<double>::infinity(),
+        "(least gap over all features but these, slack included; that feature's gap, normal and point). Infinite where "
+        "it "
+        "is above `enough`, or where there is none.");
 }
 
 }  // namespace contactvi

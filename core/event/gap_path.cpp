@@ -16,8 +16,8 @@ constexpr double kSmooth = 1.0 / 16;          // longest smooth part of the step
 constexpr double kTurn = 0.15;                // [rad] in which both bodies together turn by no more
 constexpr double kFinest = 1.0 / (1L << 24);  // least part of the step in the search for a dip
 constexpr int kMaxIterations = 60;
-// Of the motion in the step: from gaps that are larger the guard does not come to zero, nor is any interval between two
-// such gaps cut.
+// Of the motion in the step: an interval with a larger gap at an end is clear, and one whose ends are not has none that
+// is larger inside. So how much larger they are does not count.
 constexpr double kFar = 2.0;
 
 bool is_dip(const GapPath::Point& a, const GapPath::Point& b) { return a.rate < 0.0 && b.rate >= 0.0; }

@@ -198,10 +198,8 @@ double Guards::evaluate(int guard, Contact& contact, double enough) {
     const bool bounded = manifolds_.none_deeper(guard, placements_, persistent.data(), count);
     if (bounded) {
       ++counters.evaluated;
-      // As much as with coal: by how much less it is has not been fitted.
-      const Pair& pair = scene_->pairs[guard];
-      const bool closed_form = scene_->geometries[pair.a].unbounded || scene_->geometries[pair.b].unbounded;
-      counters.cost += costs::near_distance() + (closed_form ? 0.0 : costs::distance());
+      // As much as with coal: what the fitted costs of steps hold, which decide when dense ones are taken.
+      counters.cost += costs::near_distance() + (has_closed_form(guard) ? 0.0 : costs::distance());
     } else {
       evaluate_witness(guard, witness);
     }
@@ -259,6 +257,11 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   return gap_[guard];
 }
 
+bool Guards::has_closed_form(int guard) const {
+  const Pair& pair = scene_->pairs[guard];
+  return scene_->geometries[pair.a].unbounded != scene_->geometries[pair.b].unbounded || manifolds_.has_capsules(guard);
+}
+
 double Guards::find_nearest(int guard, Contact& contact) {
   ++counters.evaluated;
   if (guard >= pairs_) {
@@ -269,9 +272,8 @@ double Guards::find_nearest(int guard, Contact& contact) {
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   place_pair(guard);
-  const bool without_coal = a.unbounded != b.unbounded || manifolds_.has_capsules(guard);
   counters.cost += costs::near_distance();
-  if (without_coal && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
+  if (has_closed_form(guard) && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
   counters.cost += a.is_ball || b.is_ball ? costs::near_distance() : costs::distance();
   const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
   distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);

@@ -200,6 +200,8 @@ class Guards {
   void place_pair(int guard);
   void place_bodies();
   double find_nearest(int guard, Contact& contact);
+  // Whether the nearest features of a pair are known without coal.
+  bool has_closed_form(int guard) const;
   PosedShape posed(const Pair& pair, int geometry) const;
   DistanceBounds::Bounds known_bounds(int guard);
   double limit_gap(int guard, const VecCRef& q) const;

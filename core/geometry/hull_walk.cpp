@@ -45,30 +45,27 @@ HullWalk::HullWalk(const std::vector<Vec3>& vertices, const std::vector<std::arr
   slack_ = kRoughnesses * roughness + kRounding * size;
   first_.assign(n + 1, 0);
   for (const auto& [i, j] : ends) {
-    ++first_[static_cast<std::size_t>(i) + 1];
-    ++first_[static_cast<std::size_t>(j) + 1];
+    ++first_[i + 1];
+    ++first_[j + 1];
   }
   for (std::size_t i = 0; i < n; ++i) first_[i + 1] += first_[i];
   neighbors_.resize(2 * ends.size());
   std::vector<int> at(first_.begin(), first_.end() - 1);
   for (const auto& [i, j] : ends) {
-    neighbors_[static_cast<std::size_t>(at[static_cast<std::size_t>(i)]++)] = j;
-    neighbors_[static_cast<std::size_t>(at[static_cast<std::size_t>(j)]++)] = i;
+    neighbors_[at[i]++] = j;
+    neighbors_[at[j]++] = i;
   }
-  int from = 0;
-  for (int cell = 0; cell < static_cast<int>(starts_.size()); ++cell) {
-    from = climb(vertices, middle_of(cell, kCells), from);
-    starts_[static_cast<std::size_t>(cell)] = from;
-  }
+  for (int cell = 0; cell < 6 * kCells * kCells; ++cell)
+    starts_.push_back(climb(vertices, middle_of(cell, kCells), cell > 0 ? starts_.back() : 0));
 }
 
 int HullWalk::climb(const std::vector<Vec3>& vertices, const Vec3& m, int from) const {
-  double most = m.dot(vertices[static_cast<std::size_t>(from)]);
+  double most = m.dot(vertices[from]);
   for (;;) {
     const int here = from;
-    for (int k = first_[static_cast<std::size_t>(here)]; k < first_[static_cast<std::size_t>(here) + 1]; ++k) {
-      const int next = neighbors_[static_cast<std::size_t>(k)];
-      const double along = m.dot(vertices[static_cast<std::size_t>(next)]);
+    for (int k = first_[here]; k < first_[here + 1]; ++k) {
+      const int next = neighbors_[k];
+      const double along = m.dot(vertices[next]);
       if (along <= most) continue;
       most = along;
       from = next;
@@ -80,12 +77,12 @@ int HullWalk::climb(const std::vector<Vec3>& vertices, const Vec3& m, int from) 
 // Adds to the list, which holds a start, what hangs together with it beyond `least`.
 bool HullWalk::spread(const std::vector<Vec3>& vertices, const Vec3& m, double least, List& found) const {
   for (int done = 0; done < found.count; ++done) {
-    const auto here = static_cast<std::size_t>(found.vertices[static_cast<std::size_t>(done)]);
+    const int here = found.vertices[done];
     for (int k = first_[here]; k < first_[here + 1]; ++k) {
-      const int next = neighbors_[static_cast<std::size_t>(k)];
-      if (m.dot(vertices[static_cast<std::size_t>(next)]) < least || found.holds(next)) continue;
+      const int next = neighbors_[k];
+      if (m.dot(vertices[next]) < least || found.holds(next)) continue;
       if (found.count == kMost) return false;
-      found.vertices[static_cast<std::size_t>(found.count++)] = next;
+      found.vertices[found.count++] = next;
     }
   }
   return true;
@@ -93,14 +90,14 @@ bool HullWalk::spread(const std::vector<Vec3>& vertices, const Vec3& m, double l
 
 int HullWalk::farthest(const std::vector<Vec3>& vertices, const Vec3& m) const {
   List found;
-  found.vertices[0] = climb(vertices, m, starts_[static_cast<std::size_t>(cell_of(m, kCells))]);
+  found.vertices[0] = climb(vertices, m, starts_[cell_of(m, kCells)]);
   found.count = 1;
-  if (!spread(vertices, m, m.dot(vertices[static_cast<std::size_t>(found.vertices[0])]) - slack_, found)) return -1;
+  if (!spread(vertices, m, m.dot(vertices[found.vertices[0]]) - slack_, found)) return -1;
   int best = found.vertices[0];
-  double most = m.dot(vertices[static_cast<std::size_t>(best)]);
+  double most = m.dot(vertices[best]);
   for (int k = 1; k < found.count; ++k) {
-    const int v = found.vertices[static_cast<std::size_t>(k)];
-    const double along = m.dot(vertices[static_cast<std::size_t>(v)]);
+    const int v = found.vertices[k];
+    const double along = m.dot(vertices[v]);
     if (along < most || (along == most && v > best)) continue;
     most = along;
     best = v;

@@ -42,7 +42,7 @@ class HullWalk {
   static constexpr int kCells = 8;  // of one side of the cube of directions, along an edge
   double slack_ = 0.0;  // [m] by which a vertex without a farther neighbour may be less far than another one
   std::vector<int> first_, neighbors_;
-  std::array<int, 6 * kCells * kCells> starts_{};
+  std::vector<int> starts_;  // per cell: a vertex near the farthest one
 };
 
 }  // namespace contactvi

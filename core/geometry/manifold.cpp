@@ -412,7 +412,7 @@ double Manifolds::deepest(const ContactPoint* const* points, int count, const Pl
 }
 
 bool Manifolds::none_deeper(int pair, const Placements& at, const ContactPoint* const* persistent, int count) const {
-  if (count == 0 || is_single(pair) || persistent[0]->feature == 0) return false;
+  if (count == 0 || is_single(pair)) return false;
   const double least = deepest(persistent, count, at);
   if (least == kInfinity) return false;
   const PairView v = view(pair, at);

@@ -24,14 +24,15 @@ ForceTangent::ForceTangent(const Tree& tree)
     : tree_(&tree),
       any_(tree.elements.any_force()),
       bodies_(tree),
-      q_(tree.nq),
-      v_(tree.nv),
+      wrenches_(tree.elements.wrenches.size()),
+      forces_(tree.elements.forces.size()),
+      potentials_(tree.elements.potentials.size()),
       dq_(tree.nv),
       dv_(tree.nv),
-      force_(tree.nv),
-      change_(tree.nv),
-      first_(tree.nv, tree.nv),
-      second_(tree.nv, tree.nv) {}
+      change_(tree.nv) {
+  for (std::vector<User>* users : {&forces_, &potentials_})
+    for (User& user : *users) user = {VecX(tree.nv), MatX(tree.nv, tree.nv), MatX(tree.nv, tree.nv)};
+}
 
 ForceTangent::Point ForceTangent::point(const BodyFrame& frame) const {
   Point at = {world_point(bodies_.placements(), frame.body, frame.p_B), Vec3::Zero(), Vec3::Zero(), Vec3::Zero()};
@@ -81,9 +82,10 @@ void ForceTangent::add_springs(VecRef df) {
   }
 }
 
-void ForceTangent::add_wrenches(double t, VecRef df) {
-  for (const AppliedWrench& wrench : tree_->elements.wrenches) {
-    const Eigen::Matrix<double, 6, 1> value = wrench.signal ? wrench.signal(t) : wrench.value;
+void ForceTangent::add_wrenches(VecRef df) {
+  for (std::size_t k = 0; k < wrenches_.size(); ++k) {
+    const AppliedWrench& wrench = tree_->elements.wrenches[k];
+    const Eigen::Matrix<double, 6, 1>& value = wrenches_[k];
     Vec3 F = value.head<3>(), T = value.tail<3>(), dF = Vec3::Zero(), dT = Vec3::Zero();
     const int body = wrench.at.body;
     if (!wrench.world_axes) {
@@ -99,47 +101,58 @@ void ForceTangent::add_wrenches(double t, VecRef df) {
   }
 }
 
-void ForceTangent::add_users(double t, const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv,
-                             VecRef df) {
-  const Elements& e = tree_->elements;
-  if (e.forces.empty() && e.potentials.empty()) return;
-  q_ = q;
-  v_ = v;
-  engine_to_public(*tree_, q, v_);
+void ForceTangent::add_users(const VecCRef& dq, const VecCRef& dv, VecRef df) {
+  if (forces_.empty() && potentials_.empty()) return;
   dq_ = dq;
-  engine_to_public(*tree_, q, dq_);
+  engine_to_public(*tree_, q_, dq_);
   dv_ = dv;
-  engine_to_public_tangent(*tree_, q, dq, v, dv_);
-  for (const UserForce& user : e.forces) {
-    user.value(t, q_, v_, force_);
-    user.derivative(t, q_, v_, first_, second_);
-    change_.noalias() = first_ * dq_ + second_ * dv_;
-    public_to_engine_tangent(*tree_, q, dq, force_, change_);
+  engine_to_public_tangent(*tree_, q_, dq, v_, dv_);
+  for (const User& user : forces_) {
+    change_.noalias() = user.by_q * dq_ + user.by_v * dv_;
+    public_to_engine_tangent(*tree_, q_, dq, user.force, change_);
     df += change_;
   }
-  for (const UserPotential& user : e.potentials) {
-    user.gradient(q_, force_);
-    user.hessian(q_, first_);
-    change_.noalias() = first_ * dq_;
-    public_to_engine_tangent(*tree_, q, dq, force_, change_);
+  for (const User& user : potentials_) {
+    change_.noalias() = user.by_q * dq_;
+    public_to_engine_tangent(*tree_, q_, dq, user.force, change_);
     df -= change_;
   }
 }
 
-void ForceTangent::add(double t, const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef df) {
+void ForceTangent::take(double t, const VecCRef& q, const VecCRef& v) {
+  if (!any_) return;
+  const Elements& e = tree_->elements;
+  q_ = q;
+  v_ = v;
+  if (!e.path_springs.empty() || !e.wrenches.empty()) bodies_.place(q);
+  for (std::size_t k = 0; k < wrenches_.size(); ++k)
+    wrenches_[k] = e.wrenches[k].signal ? e.wrenches[k].signal(t) : e.wrenches[k].value;
+  if (forces_.empty() && potentials_.empty()) return;
+  public_v_ = v;
+  engine_to_public(*tree_, q, public_v_);
+  for (std::size_t k = 0; k < forces_.size(); ++k) {
+    e.forces[k].value(t, q_, public_v_, forces_[k].force);
+    e.forces[k].derivative(t, q_, public_v_, forces_[k].by_q, forces_[k].by_v);
+  }
+  for (std::size_t k = 0; k < potentials_.size(); ++k) {
+    e.potentials[k].gradient(q_, potentials_[k].force);
+    e.potentials[k].hessian(q_, potentials_[k].by_q);
+  }
+}
+
+void ForceTangent::add(const VecCRef& dq, const VecCRef& dv, VecRef df) {
   if (!any_) return;
   const Elements& e = tree_->elements;
   for (const JointPotential& p : e.joint_potentials) {
     const Joint& joint = tree_->joints[p.joint];
-    df[joint.iv] -= curvature(p, q[joint.iq] - p.rest) * dq[joint.iv];
+    df[joint.iv] -= curvature(p, q_[joint.iq] - p.rest) * dq[joint.iv];
   }
   if (!e.path_springs.empty() || !e.wrenches.empty()) {
-    bodies_.place(q);
-    bodies_.move(v, dq, dv);
+    bodies_.move(v_, dq, dv);
     add_springs(df);
-    add_wrenches(t, df);
+    add_wrenches(df);
   }
-  add_users(t, q, v, dq, dv, df);
+  add_users(dq, dv, df);
 }
 
 }  // namespace contactvi

@@ -1,4 +1,4 @@
-// Derivatives of the elements' forces (forces.hpp) along a direction of configuration and velocity. Engine coordinates.
+// Derivatives of the elements' forces (forces.hpp) along directions of configuration and velocity. Engine coordinates.
 #pragma once
 
 #include <vector>
@@ -12,8 +12,10 @@ class ForceTangent {
   explicit ForceTangent(const Tree& tree);
 
   bool any() const { return any_; }
-  // df += the derivative at (t, q, v) along (dq, dv), all of shape (nv,) but q (nq,).
-  void add(double t, const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef df);
+  // Takes a time and a state, (nq,) and (nv,): functions of users are asked here, once for all directions.
+  void take(double t, const VecCRef& q, const VecCRef& v);
+  // df += the derivative there along (dq, dv), all of shape (nv,).
+  void add(const VecCRef& dq, const VecCRef& dv, VecRef df);
 
  private:
   struct Point {
@@ -23,14 +25,22 @@ class ForceTangent {
   // Adds what the force F [N] at the point x of a body and the torque T [N m] change by.
   void add_wrench(int body, const Point& at, const Vec3& F, const Vec3& dF, const Vec3& T, const Vec3& dT, VecRef df);
   void add_springs(VecRef df);
-  void add_wrenches(double t, VecRef df);
-  void add_users(double t, const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef df);
+  void add_wrenches(VecRef df);
+  void add_users(const VecCRef& dq, const VecCRef& dv, VecRef df);
 
   const Tree* tree_;
   bool any_;
   BodyTwists bodies_;
-  VecX q_, v_, dq_, dv_, force_, change_;
-  MatX first_, second_;
+  // The state that was taken, its velocity in public coordinates, too; what the user's functions are there: wrenches,
+  // forces and gradients of potentials, with their derivatives.
+  VecX q_, v_, public_v_;
+  struct User {
+    VecX force;
+    MatX by_q, by_v;
+  };
+  std::vector<Eigen::Matrix<double, 6, 1>> wrenches_;
+  std::vector<User> forces_, potentials_;
+  VecX dq_, dv_, change_;
 };
 
 }  // namespace contactvi

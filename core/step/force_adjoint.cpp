@@ -79,11 +79,12 @@ void ForceAdjoint::take_elements(SolvedStep& step) {
   for (int i = 0; i < s_; ++i) {
     stages.configuration(step.q0(), i, q_);
     for (int d = 0; d < tree_->nv; ++d) v_[d] = stages.v()[d * S_ + i];
+    field_.take(stages.time(i), q_, v_);
     for (int d = 0; d < tree_->nv; ++d)
       for (VecX* direction : {&dq_, &dv_}) {
         (*direction)[d] = 1.0;
         df_.setZero();
-        field_.add(stages.time(i), q_, v_, dq_, dv_, df_);
+        field_.add(dq_, dv_, df_);
         (direction == &dq_ ? slope_q_ : slope_v_)[i].col(d) = df_;
         (*direction)[d] = 0.0;
       }

@@ -134,6 +134,7 @@ LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, co
   result.f_q.resize(n, n);
   result.f_v.resize(n, n);
   VecX dq(n), dw(n), df(n);
+  tangent.take(inputs.time, q, w);
   for (int k = 0; k < 2 * n; ++k) {
     dq.setZero();
     dw.setZero();
@@ -145,7 +146,7 @@ LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, co
       if (joint.type == JointType::kSpherical && joint.stiffness != 0)
         df.segment<3>(joint.iv) -=
             joint.stiffness * (so3_right_jacobian_inverse(spring_deflection(tree, joint, q)) * dq.segment<3>(joint.iv));
-    tangent.add(inputs.time, q, w, dq, dw, df);
+    tangent.add(dq, dw, df);
     engine_to_public_tangent(tree, q, dq, f, df);
     if (k < n) {
       result.f_q.col(k) = df;

@@ -129,13 +129,14 @@ void StageMatrices::add_elements(const StepSolution& step, int stage) {
   const int n = tree_->nv;
   values_.configuration(step.q0, stage, q_);
   v_ = step.velocities.col(stage);
+  field_.take(values_.time(stage), q_, v_);
   for (int column = 0; column < n; ++column)
     for (const bool velocity : {true, false}) {
       dq_.setZero();
       dv_.setZero();
       df_.setZero();
       (velocity ? dv_ : dq_)[column] = 1.0;
-      field_.add(values_.time(stage), q_, v_, dq_, dv_, df_);
+      field_.add(dq_, dv_, df_);
       PairMatrix& matrix = velocity ? C : K;
       for (int row = 0; row < n; ++row)
         if (df_[row] != 0.0) at(matrix, row, column)[stage] += df_[row];

@@ -416,7 +416,8 @@ void StepTangent::add_elements() {
     }
     configuration_change(i, dq_);
     df_.setZero();
-    field_.add(s.time(i), q_, v_, dq_, dv_, df_);
+    field_.take(s.time(i), q_, v_);
+    field_.add(dq_, dv_, df_);
     for (int d = 0; d < n; ++d)
       for (int k = i; k < (i + 1 == s.count() ? S : i + 1); ++k) shadow(s.G_)[d * S + k] += df_[d];
   }

@@ -16,7 +16,7 @@ from batteries import force_laws, force_scenes, runner
 from batteries.runner import Report
 from contactvi import _core
 
-SLOW = 4e-2  # [s] mean wall time of a step; twenty times that of usual ones with impacts at half the usual speed
+SLOW = 2e-2  # [s] mean wall time of a step; twenty times that of usual steps with impacts
 
 
 def expected(drawn: force_scenes.Drawn, traj: cvi.Trajectory) -> bool:

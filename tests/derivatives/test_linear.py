@@ -320,3 +320,19 @@ def test_a_scene_that_its_own_functions_hold_is_collected():
     force = make()
     gc.collect()
     assert force() is None
+
+
+def test_functions_of_the_user_are_asked_once_for_all_directions():
+    asked = []
+
+    def derivatives(t, q, v):
+        asked.append(t)
+        return np.zeros((7, 7)), -np.eye(7)
+
+    scene, _ = chain([pin.JointModelRZ()] * 7)
+    scene.add_force(lambda t, q, v: -v, derivatives)
+    q, v = scene.neutral(), np.ones(7)
+    cvi.simulate(scene, q, v, duration=1e-3, dt=1e-3)  # checks them against differences
+    asked.clear()
+    cvi.forward_dynamics_derivatives(scene, q, v)
+    assert len(asked) == 1

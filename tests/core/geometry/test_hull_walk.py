@@ -10,6 +10,7 @@ from contactvi import _core
 from helpers.touching_pairs import Two, hull, pose, prism, turn
 
 RNG = np.random.default_rng(11)
+ROUNDING = 2e-15  # of products of vectors of 4 m, which NumPy sums in another order
 
 
 def skeleton(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,12 +71,23 @@ def test_the_farthest_vertices_are_those_of_a_look_at_all(name, roughness):
     for m, (farthest, near) in zip(along, answers, strict=True):
         heights = moved @ m
         if farthest >= 0:
-            assert heights[farthest] >= heights.max() - 1e-15
+            assert heights[farthest] >= heights.max() - ROUNDING
             known += 1
         if near is not None:
             assert near == sorted(set(near))
             assert set(np.flatnonzero(heights >= heights[farthest] - depth)) <= set(near)
     assert known >= 0.9 * len(along)
+
+
+def test_of_several_that_are_equally_far_the_first_is_told():
+    """Upper and lower corners of a prism, whose products with an axis are the same numbers."""
+    vertices, edges = prism_skeleton(152)
+    axes = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    for m, (farthest, _) in zip(axes, _core.walk_hull(vertices, edges, 0.0, axes, 1e-3), strict=True):
+        heights = vertices @ m
+        equal = np.flatnonzero(heights == heights.max())
+        assert len(equal) == 2
+        assert farthest == equal[0]
 
 
 def test_a_flat_end_with_many_corners_is_looked_at_as_a_whole():
@@ -90,28 +102,47 @@ def test_hulls_with_few_vertices_have_no_walk():
     assert _core.walk_hull(vertices, edges, 0.0, np.eye(3), 1e-3) == []
 
 
-@pytest.mark.parametrize("count", [12, 300])
-def test_what_is_said_to_be_no_deeper_is_not(count):
-    """Random hulls in every contact, moved from there: its points known, the distance asked of coal."""
-    known = 0
+def touching_hulls(count: int) -> list[tuple[Two, np.ndarray, np.ndarray, list[int]]]:
+    """Pairs of random hulls, place and rotation of the second where they touch, and the features that do."""
+    found = []
     for _ in range(60):
         pair = Two(hull(sphere_points(count) * [0.1, 0.12, 0.05]), hull(sphere_points(count) * [0.2, 0.1, 0.1]))
         R = turn(RNG.standard_normal(3), RNG.uniform(0.0, 3.0))
         at = np.array([0.05, 0.02, 0.4]) * RNG.uniform(-1.0, 1.0, 3) + [0.0, 0.0, 0.4]
-        low, high = 0.0, 1.0  # along the line to the other centre: where they touch
+        low, high = 0.0, 1.0  # of the line to `at`: they overlap, they are apart
         for _ in range(60):
             middle = 0.5 * (low + high)
-            apart = (
-                _core.contact_points(pair.core, pair.q(pose(), pose(*(middle * at), R)), 0, 1e9, 4)["gap"].min() > 0.0
-            )
+            q = pair.q(pose(), pose(*(middle * at), R))
+            apart = _core.contact_points(pair.core, q, 0, 1e9, 4)["gap"].min() > 0.0
             low, high = (low, middle) if apart else (middle, high)
-        points = pair.points(pose(), pose(*(high * at), R))
-        if 0 in points["feature"] or not len(points["feature"]):
-            continue
+        features = pair.points(pose(), pose(*(high * at), R))["feature"]
+        if len(features) > 0 and 0 not in features:  # where no feature is known there is a witness
+            found.append((pair, high * at, R, features))
+    return found
+
+
+@pytest.mark.parametrize("count", [12, 300])
+def test_what_is_said_to_be_no_deeper_is_not(count):
+    """The distance asked of coal. The bound allows half of its noise, and coal may be off by the other half."""
+    known = 0
+    for pair, place, R, features in touching_hulls(count):
         for angle in (0.0, 1e-9, 1e-5, 1e-3):
-            moved = pose(*(high * at), turn(RNG.standard_normal(3), angle) @ R) if angle else pose(*(high * at), R)
-            none_deeper, deeper = _core.none_deeper(pair.core, pair.q(pose(), moved), 0, points["feature"])
+            q = pair.q(pose(), pose(*place, turn(RNG.standard_normal(3), angle) @ R))
+            none_deeper, deeper = _core.none_deeper(pair.core, q, 0, features)
             known += none_deeper
-            noise = _core.distance_noise(pair.core, pair.q(pose(), moved), 0)
-            assert not (none_deeper and deeper < -noise - 1e-12)
+            assert not (none_deeper and deeper < -_core.distance_noise(pair.core, q, 0))
     assert known >= 20
+
+
+@pytest.mark.parametrize("count", [12, 300])
+def test_features_that_are_far_are_left_out_and_no_others(count):
+    """The least gap beside the points that touch, where gaps above some number do not count."""
+    left_out = 0
+    for pair, place, R, features in touching_hulls(count):
+        q = pair.q(pose(), pose(*place, turn(RNG.standard_normal(3), 1e-3) @ R))
+        least = _core.rest_gap(pair.core, q, 0, features)[0]
+        for enough in (1e-5, 1e-4, 1e-3, 1e-2):
+            found = _core.rest_gap(pair.core, q, 0, features, enough=enough)[0]
+            assert found == (least if least < enough else np.inf)
+            left_out += least >= enough
+    assert left_out >= 20
