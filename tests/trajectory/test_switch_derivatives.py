@@ -93,5 +93,5 @@ def test_a_limit_of_speed_is_refused(tmp_path):
     scene = pendulum(tmp_path, speed=1.0)
     scene.set_actuator("j", velocity=True)
     traj = cvi.simulate(scene, [0.0], [0.0], 0.5, dt=1e-2, control=np.full((50, 1), 30.0), record="gradient")
-    with pytest.raises(cvi.NotDifferentiable, match="those of speed"):
+    with pytest.raises(cvi.NotDifferentiable, match="at limits of speed"):
         traj.sensitivity()
