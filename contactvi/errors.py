@@ -268,7 +268,7 @@ class NotDifferentiable(ContactviError):
       made in parts; of an acceleration: "contact", "constraint" (a screw, joint friction);
     - of an impact: "grazing", "simultaneous" with others, "witness" (several nearest points), "friction" at its limit,
       "restitution" that was lowered, "map" (an implicit map without an answer), "start" (at the first instant), "time"
-      (a force that changes with it);
+      (a force that jumps, in a step whose time moves);
     - of a persistent contact: "release", "stick", "redundant" points that share a load, "node" (an event at the end of
       a step), "inside" of a step, "dense" steps;
     - "second": there is a first derivative, but no second one that is known.

@@ -30,7 +30,7 @@ struct DensePhase {
   int quiet = 0;          // dense steps one after the other in which no contact began, ended or closed fast
   int wanted = 0;         // quiet steps after which events are located again; 0: there were no dense steps yet
   long since_return = 0;  // steps since then
-  double longest = 0;     // the next step to try [s]: twice the last one; 0: to the end of the interval
+  double longest = 0;     // the next step to try [s], a power of two of the nominal one; 0: to the end of the interval
   LocatedCost located;
 
   // Dense steps from here on; after twice as many quiet steps as the last time where that was not long ago.

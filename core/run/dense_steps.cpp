@@ -161,7 +161,11 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     return end(StatusCode::kConstraint, at, "what the constraints drive leaves this contact no way out", deepest);
   dense_step_.finish(q1_, p1_);
   if (!stays_in_range(at)) return false;
-  state_.dense.longest = 2.0 * h < nominal ? 2.0 * h : 0.0;
+  // A rest that was solved whole says nothing of longer ones. Lengths by powers of two do not move with its start.
+  if (shorter || h < whole) {
+    const double next = 2.0 * step_length_within(h, nominal);
+    state_.dense.longest = next < nominal ? next : 0.0;
+  }
   record_phase(at, nominal, StepKind::kDense, recording);
   if (options_.gradient) keep_dense_step(at, share);
   accept_dense_step(at, h, recording);

@@ -5,12 +5,7 @@
 namespace contactvi {
 
 ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
-    : scene_(&scene),
-      run_(&run),
-      masses_(scene.tree, 1, 1e-12, 1),
-      adjoint_(scene),
-      take_branch_(take_branch),
-      force_(scene, run) {}
+    : scene_(&scene), run_(&run), adjoint_(scene), take_branch_(take_branch), force_(scene, run) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();
@@ -28,7 +23,7 @@ void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   if (held_piece_ != nullptr) {
     if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points, take_branch_);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
-    force_ends_ = ends_by_force(*run_, piece, held_->tangent(), inputs, masses_, force_);
+    force_ends_ = ends_by_force(piece, held_->tangent(), inputs, force_);
     return;
   }
   if (dense_step_ != nullptr) {

@@ -51,7 +51,6 @@ class ContactPieceAdjoint {
 
   const Scene* scene_;
   const RecordedRun* run_;
-  Integrator masses_;
   ContactStepAdjoint adjoint_;
   std::unique_ptr<DenseStepAdjoint> dense_;  // made for the first dense step
   std::unique_ptr<HeldStepAdjoint> held_;    // and for the first held one

@@ -7,7 +7,6 @@ namespace contactvi {
 ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
-      masses_(scene.tree, 1, 1e-12, 1),
       tangent_(scene),
       take_branch_(take_branch),
       force_(scene, run),
@@ -48,7 +47,7 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
     for (const PersistentContact& c : piece.held->contacts)
       if (c.anchored && anchor_of(c.point) == nullptr) refuse_sticking_start(c.point, piece.t);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
-    force_ends_ = ends_by_force(*run_, piece, *held_, inputs, masses_, force_);
+    force_ends_ = ends_by_force(piece, *held_, inputs, force_);
     return;
   }
   if (dense_step_ != nullptr) {
@@ -228,13 +227,11 @@ void check_end_rate(const Piece& piece, bool by_force, double rate) {
                      "a slip or a force that falls to zero", "one that stays", "Start elsewhere");
 }
 
-bool ends_by_force(const RecordedRun& run, const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs,
-                   Integrator& masses, EndForce& force) {
+bool ends_by_force(const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs, EndForce& force) {
   const HeldStepEnd ending = piece.held->ending;
   if (piece.end != PieceEnd::kLength || (ending != HeldStepEnd::kRelease && ending != HeldStepEnd::kSlip)) return false;
   try {
-    check_forces_in_time(force.scene().tree, run, masses, piece);
-    force.take(step.phase_end(run.dt), inputs.tau(), inputs.servo());
+    force.take(step.phase_end(), inputs.tau(), inputs.servo());
   } catch (const NoDerivative&) {
     return false;
   }

@@ -28,8 +28,7 @@ void check_contact_piece(const RecordedRun& run, const Piece& piece);
 void check_end_rate(const Piece& piece, bool by_force, double rate);
 // Whether a held step ends at the zero of a force whose time has a derivative; force takes it. Else that time counts as
 // given: the forces are continuous there, so that the error is one like that of the step.
-bool ends_by_force(const RecordedRun& run, const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs,
-                   Integrator& masses, EndForce& force);
+bool ends_by_force(const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs, EndForce& force);
 // Throws NoDerivative for a contact that sticks without having come to stick in the run.
 [[noreturn]] void refuse_sticking_start(const ContactPoint& point, double time);
 
@@ -72,7 +71,6 @@ class ContactPieces {
 
   const Scene* scene_;
   const RecordedRun* run_;
-  Integrator masses_;
   ContactStepTangent tangent_;
   std::unique_ptr<DenseStepTangent> dense_;  // made for the first dense step
   std::unique_ptr<HeldStepTangent> held_;    // and for the first held one

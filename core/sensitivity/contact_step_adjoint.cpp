@@ -185,6 +185,7 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   g.p.resize(n);
   g.tau.resize(n);
   if (!adjoint_.solve(lq1_, lp_minus_, g.q, g.p, g.h, g.tau)) return false;
+  adjoint_.add_time(lt_, lh_);
   adjoint_.add_parameters(sums);
   const MatX lW0 = g.p * s.lambda.transpose();
   for (int k = 0; k < n; ++k) g.q[k] += lq0_[k] + W0_of_q0_[k].cwiseProduct(lW0).sum();

@@ -459,6 +459,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   direction.q = dq0;
   direction.p = dW0_ * s.lambda;
   if (d.p.size() > 0) direction.p += d.p;
+  direction.t = d.t;
   direction.h = d.h;
   direction.tau = d.tau;
   direction.parameters = d.parameters;

@@ -193,6 +193,7 @@ bool DenseStepAdjoint::pass_step(const VecX& p_start, const DenseStepRecord::Pla
   double lh = 0.0;
   lp_start.resize(n);
   if (!adjoint_.solve(lq1, lp, lq0, lp_start, lh, ltau)) return false;
+  adjoint_.add_time(lt_, lh);
   adjoint_.add_parameters(sums);
   lq0_ += lq0;
   lp0_ += lp_start;

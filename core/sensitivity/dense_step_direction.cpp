@@ -261,6 +261,7 @@ void DenseStepTangent::solve_free(const DenseStepDirection& d, const VecX& dq0) 
   direction.q = dq0;
   direction.p = d.p.size() > 0 ? d.p : none_;
   if (constraints_ > 0) direction.p += dW0_.leftCols(constraints_) * s.places[0].lambda.head(constraints_);
+  direction.t = d.t;
   direction.h = d.h;
   direction.tau = d.tau;
   direction.parameters = d.parameters;
@@ -322,6 +323,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   direction.q = dq0;
   direction.p = dW0_ * round.lambda;
   if (d.p.size() > 0) direction.p += d.p;
+  direction.t = d.t;
   direction.h = d.h;
   direction.tau = d.tau;
   direction.parameters = d.parameters;

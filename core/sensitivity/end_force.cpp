@@ -5,6 +5,7 @@
 
 #include "base/differences.hpp"
 #include "model/coordinates.hpp"
+#include "model/force_rate.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
@@ -17,9 +18,9 @@ constexpr double kStill = 1e-11;  // of the speeds: a joint that sticks
 constexpr double kZero =
     1e-5;  // of the terms of the forces: that of the contact that is released, as the run located it
 constexpr double kUnique = 1e-9;  // of a force: what the laws leave open
-// Of the rate of the force: to which it has to be known from differences in the time of prescribed motions, which are
-// made over half a nominal step and over a quarter of one.
-constexpr double kSameRate = 1e-7;
+// Of the rate of the force: to which it has to be known from differences in the time of prescribed motions and of
+// forces, which are made over four of these lengths [s] and over two.
+constexpr double kSameRate = 1e-6, kLongest = 2e-4;
 // Weights of a derivative from values at five times up to the one that it is for, of 1 / (12 step).
 constexpr double kBackward[] = {25.0, -48.0, 36.0, -16.0, 3.0};
 }  // namespace
@@ -44,7 +45,7 @@ void EndForce::refuse(const std::string& got) const {
 }
 
 PhaseEnd release_of(const ContactStepRecord& s) {
-  PhaseEnd end{s.t + s.h, s.nominal, s.q1, s.p1, s.v1, static_cast<int>(s.lambda.size()), {}, {}, s.ended, true};
+  PhaseEnd end{s.t + s.h, s.q1, s.p1, s.v1, static_cast<int>(s.lambda.size()), {}, {}, s.ended, true};
   for (const ContactStepRecord::Joint& joint : s.joints) end.joints.push_back({joint.dof, joint.limit});
   for (const ContactStepRecord::Contact& c : s.contacts)
     end.contacts.push_back({c.before, c.t1_end, c.end.normal, c.outcome.slips, c.row});
@@ -53,7 +54,7 @@ PhaseEnd release_of(const ContactStepRecord& s) {
 
 void EndForce::take(PhaseEnd end, const VecX& tau, const Servo* servo) {
   end_ = std::move(end);
-  motions_time_ = end_.time;
+  time_ = end_.time;
   tau_ = &tau;
   masses_.set_time(end_.time);
   masses_.set_servo(servo);
@@ -93,12 +94,12 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
   const PhaseEnd& s = end_;
   const int rows = s.rows, equations = constraints_.rows();
   if (!masses_.node_velocity(q, p, v_)) throw Error("the mass matrix is not positive definite");
-  forward_dynamics(masses_, q, v_, end_.time, tau, a_);
+  forward_dynamics(masses_, q, v_, time_, tau, a_);
   guards_.place(q);
   W_.setZero(scene_->tree.nv, rows);
   dW_.setZero(scene_->tree.nv, rows);
   if (equations > 0) {
-    constraints_.take(q, motions_time_);
+    constraints_.take(q, time_);
     W_.leftCols(equations) = constraints_.gradients();
     constraints_.change(v_, 1.0, dW_.leftCols(equations));
   }
@@ -246,27 +247,28 @@ void EndForce::add_parameters(const VecX& lp, const VecX& ltau, StepParameters& 
 
 double EndForce::rate(const VecX& fq, const VecX& fp) {
   const double rest = change(fq, fp, VecX(), VecX());
-  return scene_->tree.elements.driven() ? rest + prescribed_rate(rest) : rest;
+  const Elements& e = scene_->tree.elements;
+  return e.driven() || forces_depend_on_time(e) ? rest + rate_in_time(rest) : rest;
 }
 
-// Of the force at one state, where prescribed motions alone go on: from the forces, which are smooth where their norm,
-// as that of friction, is not.
-double EndForce::prescribed_rate(double rest) {
-  const double step = std::min(0.125 * end_.nominal, 0.25 * (end_.time - t0_));
+// Of the force at one state, where prescribed motions and forces that depend on time alone go on: from the forces, which
+// are smooth where their norm, as that of friction, is not.
+double EndForce::rate_in_time(double rest) {
+  const double step = std::min(kLongest, 0.25 * (end_.time - t0_));
   double found[2];
   for (int k = 0; k < 2; ++k) {
     const double length = k == 0 ? step : 0.5 * step;
     VecX rates = VecX::Zero(end_.rows);
     for (int i = 4; i >= 0; --i) {
-      motions_time_ = end_.time - i * length;
+      time_ = end_.time - i * length;
       force(end_.q, end_.p, *tau_, mu_);
       rates += kBackward[i] / (12.0 * length) * forces_;
     }
     found[k] = weights_.dot(rates);
   }
-  motions_time_ = end_.time;
+  time_ = end_.time;
   if (!(std::abs(found[1] - found[0]) <= kSameRate * std::abs(rest + found[1])))
-    refuse("a prescribed motion whose acceleration is not smooth, or not known well enough");
+    refuse("a prescribed motion or a force in time that is not smooth, or not known well enough");
   return found[1];
 }
 

@@ -31,7 +31,7 @@ struct PhaseEnd {
     int dof;
     double limit;
   };
-  double time, nominal;  // of the end; length of a nominal step [s]
+  double time;  // of the end [s]
   VecX q, p, v;
   int rows;
   std::vector<Joint> joints;  // their rows follow those of the constraints
@@ -62,7 +62,7 @@ class EndForce {
 
  private:
   double settle_loads();
-  double prescribed_rate(double rest);
+  double rate_in_time(double rest);
   double force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu);
   void set_weights(const std::vector<Vec3>& t1, const std::vector<Vec3>& normals, const VecX& mu);
   void refuse(const std::string& got) const;
@@ -73,7 +73,7 @@ class EndForce {
   Guards guards_;
   ContactTangent tangent_;
   ConstraintTangent constraints_;
-  double motions_time_ = 0.0;  // [s] at which prescribed motions are taken
+  double time_ = 0.0;  // [s] at which prescribed motions and forces are taken
   MotionParameters parameters_;
   PhaseEnd end_;
   const VecX* tau_ = nullptr;

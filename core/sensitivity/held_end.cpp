@@ -104,12 +104,12 @@ void HeldEnd::pass(const VecX& lend, VecX lv, VecX& lq, VecX& lp, VecX& lheavier
        watched_change_.transpose() * lfaster;
 }
 
-PhaseEnd HeldEnd::phase_end(double nominal, const PersistentRows& phase, int number) {
+PhaseEnd HeldEnd::phase_end(const PersistentRows& phase, int number) {
   const HeldStepRecord& s = *record_;
   const VecX& q1 = node_->configuration();
   VecX p1(nv_), force(nv_);
   masses_.dynamics(q1, s.v1, p1, force);
-  PhaseEnd end{s.t + s.h, nominal, q1, p1, s.v1, fixed_, {}, {}, s.ended, s.ending == HeldStepEnd::kRelease};
+  PhaseEnd end{s.t + s.h, q1, p1, s.v1, fixed_, {}, {}, s.ended, s.ending == HeldStepEnd::kRelease};
   for (const FrictionJoint& joint : s.joints) end.joints.push_back({joint.dof, joint.limit});
   end.rows += static_cast<int>(s.joints.size());
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {

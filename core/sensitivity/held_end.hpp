@@ -31,8 +31,8 @@ class HeldEnd {
   VecX rest_sizes(double q, double p, double h) const {
     return sizes(rest_speeds_, MinvR_, q / h, p) + q * rest_changes_.cwiseAbs().rowwise().sum();
   }
-  // Of a step that a force ends; nominal: length of a nominal step [s], number: of the node among the places of phase.
-  PhaseEnd phase_end(double nominal, const PersistentRows& phase, int number);
+  // Of a step that a force ends; number: of the node among the places of phase.
+  PhaseEnd phase_end(const PersistentRows& phase, int number);
 
  private:
   void take_rests(const PersistentRows& phase);

@@ -195,6 +195,7 @@ bool HeldStepTangent::assess(const ContactStepDirection& d, const VecX& x, const
   StepDirection& step = step_direction_;
   step.q = d.q;
   step.p = d.p.size() > 0 ? d.p : none_;
+  step.t = d.t;
   step.h = d.h;
   step.tau = d.tau;
   step.parameters = d.parameters;

@@ -43,8 +43,8 @@ class HeldStepTangent {
   // rad/s]; and the sizes of their terms.
   const VecX& slip_changes() const { return slip_changes_; }
   const VecX& slip_sizes() const { return slip_sizes_; }
-  // Its end, which a force ends; nominal: length of a nominal step [s].
-  PhaseEnd phase_end(double nominal) { return end_.phase_end(nominal, phase_, stages_); }
+  // Its end, which a force ends.
+  PhaseEnd phase_end() { return end_.phase_end(phase_, stages_); }
   // Of a contact's material point: the derivative, by q0, of its place in the frame of the plane's body, (3, nv).
   MatX start_place_change(std::size_t contact) { return nodes_[0].place_change(record_->contacts[contact].point); }
 

@@ -10,8 +10,6 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kLater = 0.381966;  // of a step: a time at which a periodic force is unlikely to be what it was
-
 // Of the sizes of the terms of a closing speed: the derivative of the time of an impact grows like its inverse, so that
 // below it nine of sixteen digits are lost and differences of runs no longer see the same impacts.
 constexpr double kGrazing = 1e-6;
@@ -29,13 +27,6 @@ double effort_limit(const Elements& e, int d) {
   const bool driven = e.servo_kp.size() > 0 && (e.servo_kp[d] != 0.0 || e.servo_kd[d] != 0.0);
   const double none = std::numeric_limits<double>::infinity();
   return std::min(e.effort.size() > 0 ? e.effort[d] : none, driven ? e.servo_effort[d] : none);
-}
-
-// Whether a force may depend on time explicitly.
-bool depends_on_time(const Elements& e) {
-  bool found = !e.forces.empty();
-  for (const AppliedWrench& wrench : e.wrenches) found |= static_cast<bool>(wrench.signal);
-  return found;
 }
 
 }  // namespace
@@ -118,19 +109,6 @@ void check_map(const Tree& tree, const RecordedRun& run, const RecordedImpact& i
                        "An implicit impact map conserves an energy that forces change",
                        "gravity and springs alone with 'mhc' and 'dtec'",
                        "damping, joint friction, inputs or other forces", "Use impact='ctec'");
-}
-
-void check_forces_in_time(const Tree& tree, const RecordedRun& run, StepEquations& equations, const Piece& piece) {
-  if (!depends_on_time(tree.elements)) return;
-  ForceField field(tree);
-  VecX first = VecX::Zero(tree.nv), second = first, size = first, v(tree.nv);
-  if (!equations.node_velocity(piece.q, piece.p, v)) throw Error("the mass matrix is not positive definite");
-  field.add(piece.t, piece.q, v, first, size);
-  field.add(piece.t + kLater * run.dt, piece.q, v, second, size);
-  if (first == second) return;
-  throw NoDerivative({"time", -1, piece.t}, "A force that depends on time acts beside an impact, whose time moves",
-                     "forces of q and v alone where there are impacts", "a force that changes with time",
-                     "Give the force as control, which is constant over each step");
 }
 
 bool is_node(const RecordedRun& run, double time) {

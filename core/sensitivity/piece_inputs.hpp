@@ -36,8 +36,6 @@ class PieceInputs {
 double check_closing(const RecordedImpact& impact, double speed, double size);
 // Throws NoDerivative for an impact of an implicit map that did not act, or whose energy the motion does not conserve.
 void check_map(const Tree& tree, const RecordedRun& run, const RecordedImpact& impact);
-// Throws NoDerivative where a force that depends on time acts in a piece whose start or end moves.
-void check_forces_in_time(const Tree& tree, const RecordedRun& run, StepEquations& equations, const Piece& piece);
 // Whether a time is the end of a step.
 bool is_node(const RecordedRun& run, double time);
 // Whether a piece starts where an implicit map takes its reference anew: it does not follow an event of its step.

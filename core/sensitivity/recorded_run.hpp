@@ -2,10 +2,9 @@
 // coordinates.
 #pragma once
 
-#include <string>
 #include <vector>
 
-#include "base/refusal.hpp"
+#include "base/no_derivative.hpp"
 #include "contact/contact_step_record.hpp"
 #include "contact/dense_step_record.hpp"
 #include "contact/held_step_record.hpp"
@@ -72,22 +71,5 @@ struct RecordedRun {
 
 // Engine velocities at the stages of a step of length h [s] from the rates of its chart, both (nv, s).
 MatX stage_velocities(const Tree& tree, const MatX& rates, double h);
-
-// Where a run has no derivative: a word for the reason (contactvi.errors.NotDifferentiable), the guard (-1: of none)
-// and the time [s].
-struct Obstacle {
-  const char* reason;
-  int guard;
-  double time;
-};
-
-// Why a run has no derivative, or none that is known.
-class NoDerivative : public Refusal {
- public:
-  NoDerivative(const Obstacle& at, const std::string& fact, std::string expected_text, std::string got_text,
-               std::string remedy_text)
-      : Refusal(fact, std::move(expected_text), std::move(got_text), std::move(remedy_text)), where(at) {}
-  const Obstacle where;
-};
 
 }  // namespace contactvi

@@ -122,7 +122,6 @@ void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) 
 
 // The impacts at the end of a piece, and its time.
 void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradient& result) {
-  check_forces_in_time(scene_->tree, *run_, integrator_, piece);
   const EventHit hit = event_hit(*run_, piece, take_branch_);
   std::vector<int> firsts;
   for (int i = 0; i < piece.impacts; i += run_->impacts[piece.first_impact + i].records())
@@ -163,7 +162,7 @@ void RunAdjoint::add_energy_gradient(const VecX& q, const VecX& p) {
   lreference_ = 0.0;
 }
 
-void RunAdjoint::pass_piece(const Piece& piece, RunGradient& result) {
+void RunAdjoint::pass_piece(const Piece& piece, bool start_moves, RunGradient& result) {
   adjoint_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
   step_back(piece.step, result);
   if (lenergy_ != 0.0) {
@@ -189,7 +188,10 @@ void RunAdjoint::pass_piece(const Piece& piece, RunGradient& result) {
     }
     lenergy_ = 0.0;
   }
+  double lt = 0.0;
+  if (start_moves) adjoint_.add_time(lt, lh_);
   if (piece.end != PieceEnd::kLength) ltime_ = -lh_;
+  ltime_ += lt;
 }
 
 RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
@@ -234,15 +236,12 @@ RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
       --event;
       pass_event(piece, cost.events.size() > event ? cost.events[event] : 0.0, result);
     }
-    if (i > 0 && pieces[i - 1].end != PieceEnd::kTime) {
-      check_forces_in_time(scene_->tree, *run_, integrator_, piece);
-    }
+    const bool start_moves = i > 0 && pieces[i - 1].end != PieceEnd::kTime;
     if (piece.has_rows()) {
-      if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
       contact_.pass(lq_, lp_, ltime_, lenergy_, result);
       lenergy_ = 0.0;
     } else {
-      pass_piece(piece, result);
+      pass_piece(piece, start_moves, result);
     }
     const bool by_step = run_->map == ImpactMap::kMhc && run_->mhc_reference == MhcReference::kStep;
     if (by_step && lreference_ != 0.0 && starts_anew(*run_, i)) add_energy_gradient(piece.q, piece.p);

@@ -42,7 +42,7 @@ class RunAdjoint {
   void pass_event(const Piece& piece, double time_gradient, RunGradient& result);
   void pass_impact(const RecordedImpact& impact, RunGradient& result);
   void pass_reference(std::size_t piece);
-  void pass_piece(const Piece& piece, RunGradient& result);
+  void pass_piece(const Piece& piece, bool start_moves, RunGradient& result);
   void add_energy_gradient(const VecX& q, const VecX& p);
   void set_impact_matrix();
   void step_back(long step, RunGradient& result);

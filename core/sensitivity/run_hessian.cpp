@@ -13,6 +13,9 @@ namespace {
   throw NoDerivative({"second", guard, time}, fact, expected, got, "Use method='gauss-newton'");
 }
 
+// At a time at which a periodic force is unlikely to be what it is at the start.
+constexpr double kLater = 0.381966;  // of a step
+
 }  // namespace
 
 RunHessian::RunHessian(const Scene& scene, const RecordedRun& run)
@@ -85,6 +88,20 @@ void RunHessian::set_direction(std::size_t piece, const RunVector& direction) {
   inputs_.mask(direction_.tau);
 }
 
+// Of a piece whose start or end moves.
+void RunHessian::check_forces_in_time(const Piece& piece) {
+  const Tree& tree = scene_->tree;
+  if (!forces_depend_on_time(tree.elements)) return;
+  ForceField field(tree);
+  VecX first = VecX::Zero(tree.nv), second = first, size = first, v(tree.nv);
+  if (!integrator_.node_velocity(piece.q, piece.p, v)) throw Error("the mass matrix is not positive definite");
+  field.add(piece.t, piece.q, v, first, size);
+  field.add(piece.t + kLater * run_->dt, piece.q, v, second, size);
+  if (first != second)
+    refuse(-1, piece.t, "A force that depends on time has no second derivative that is known beside an impact",
+           "forces of q and v alone where there are impacts", "one that changes with time");
+}
+
 // A smooth piece with its inputs.
 void RunHessian::take_piece(const Piece& piece) {
   inputs_.set(piece);
@@ -96,7 +113,7 @@ double RunHessian::move_event(std::size_t i, VecX& dq, VecX& dp) {
   const Piece& piece = run_->pieces[i];
   const RecordedImpact& impact = run_->impacts[piece.first_impact];
   PieceChange& change = changes_[i];
-  check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+  check_forces_in_time(piece);
   impact_.take(impact, impact.p_plus, inputs_.tau(), inputs_.servo());
   StepDirection longer;
   longer.h = 1.0;
@@ -144,7 +161,7 @@ void RunHessian::forward(const RunCost& cost, const RunVector& direction) {
     change.q = dq;
     change.p = dp;
     change.h = piece.end == PieceEnd::kLength ? 0.0 : -start;
-    if (start != 0.0) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+    if (start != 0.0) check_forces_in_time(piece);
     take_piece(piece);
     set_direction(i, direction);
     if (!tangent.solve(direction_, dq, dp)) refuse_step(piece);

@@ -54,6 +54,7 @@ class RunHessian {
     VecX q, v, dq, dp;
   };
   void check() const;
+  void check_forces_in_time(const Piece& piece);
   void check_impact(const Piece& piece) const;
   void forward(const RunCost& cost, const RunVector& direction);
   void keep_nodes(const RunCost& cost, double until, const VecX& q, const VecX& p, const VecX& dq, const VecX& dp);

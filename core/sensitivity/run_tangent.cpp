@@ -12,6 +12,7 @@ RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_bra
     : scene_(&scene),
       run_(&run),
       take_branch_(take_branch),
+      forces_in_time_(forces_depend_on_time(scene.tree.elements)),
       integrator_(scene.tree, run.stages, run.tol, 200, true),
       tangent_(scene.tree, run.stages),
       map_(scene.tree, run.stages, false),
@@ -118,7 +119,6 @@ void RunTangent::take_part(Piece& part, double length) {
 // length, so long after its start. Fills the derivative by its length.
 void RunTangent::move(const Piece& piece, const RunDirections& d) {
   if (piece.has_rows()) {
-    if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     contact_.move(d, columns_);
     piece_energy_ = contact_.energies();
     return;
@@ -136,6 +136,7 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
       direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
       inputs_.mask(direction_.tau);
       direction_.parameters = d.parameter(k);
+      direction_.t = columns_.time[k];
       direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
       if (!tangent().solve(direction_, dq_, dp_))
         throw NoDerivative({"step", -1, piece.t}, "The derivative of a step was not solved",
@@ -153,7 +154,8 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
 bool RunTangent::apply_map(const Piece& piece, const RunDirections& d) {
   int columns = 0;
   for (Eigen::Index k = 0; k < d.count; ++k) columns += d.parameter(k) == nullptr;
-  if (inputs_.any_held() && d.tau.size() > 0) return false;  // it would act with what limits keep from acting
+  if (inputs_.any_held() && d.tau.size() > 0) return false;       // it would act with what limits keep from acting
+  if (forces_in_time_ && !columns_.time.isZero(0)) return false;  // which it does not know
   if (!map_.pays_for(columns) || !map_.take(*step_)) return false;
   const bool moves = piece.end != PieceEnd::kLength;
   map_.apply(columns_.q, columns_.p, d.tau, moves ? VecX(-columns_.time) : VecX(VecX::Zero(d.count)), q1_, p1_);
@@ -228,7 +230,6 @@ VecX RunTangent::time_change(const EventHit& hit, double& approach) const {
 }
 
 void RunTangent::take_event(const Piece& piece, const RunDirections& d, RunDerivative& result) {
-  check_forces_in_time(scene_->tree, *run_, integrator_, piece);
   const EventHit hit = event_hit(*run_, piece, take_branch_);
   const int first = piece.first_impact;
   const RecordedImpact& impact = run_->impacts[hit.impact];
@@ -326,7 +327,6 @@ RunDerivative RunTangent::solve(const RunDirections& given, const std::vector<do
       if (run_->mhc_reference == MhcReference::kStep) reference_step_ = -1;
     }
     if (by_step) here.tau = given.inputs.row(piece.step).transpose();
-    if (!columns_.time.isZero(0)) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     take_piece(piece);
     size_q_ = size_q_.cwiseMax(columns_.q.cwiseAbs().colwise().maxCoeff().transpose());
     const double end = piece.t + piece.h;

@@ -66,7 +66,7 @@ class RunTangent {
 
   const Scene* scene_;
   const RecordedRun* run_;
-  bool take_branch_;
+  bool take_branch_, forces_in_time_;
   Integrator integrator_;
   StepTangent tangent_;  // of single directions
   bool tangent_has_step_ = false;

@@ -5,13 +5,14 @@
 
 #include "base/differences.hpp"
 #include "model/coordinates.hpp"
+#include "model/force_rate.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
 
 namespace {
 // Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; of
-// the time of prescribed motions [s].
+// time [s].
 constexpr double kStep = 1e-5, kTurn = 1e-3, kTime = 5e-4;
 // Of the mobility along the normal: less than that across a slip is none; and of the largest pivot.
 constexpr double kPlane = 1e-12, kDependent = 1e-7;
@@ -63,7 +64,7 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
   by_tau_ = differences(n, sized(kStep * input), [](Place& at, Eigen::Index k, double by) { at.tau[k] += by; });
   by_mu_ = differences(slides, sized(kStep), [](Place& at, Eigen::Index k, double by) { at.mu[k] += by; });
   by_t_ = MatX::Zero(static_cast<Eigen::Index>(begins_.size()), 1);
-  if (tree.elements.driven())
+  if (tree.elements.driven() || forces_depend_on_time(tree.elements))
     by_t_ = differences(1, sized(kTime), [](Place& at, Eigen::Index, double by) { at.t += by; });
   by_others_ = differences(slides, sized(kTurn), [](Place& at, Eigen::Index k, double by) { at.angles[k] += by; });
   solve_turns(mobility);
@@ -89,7 +90,7 @@ MatX SlipStart::differences(Eigen::Index count, Size size, Move move) {
 VecX SlipStart::across(const Place& at) {
   const Eigen::Index n = scene_->tree.nv, slides = at.angles.size();
   if (!masses_.node_velocity(at.q, at.p, v_)) throw Error("the mass matrix is not positive definite");
-  forward_dynamics(masses_, at.q, v_, record_->t, at.tau, a_);
+  forward_dynamics(masses_, at.q, v_, at.t, at.tau, a_);
   VecX loaded = load_;
   masses_.solve_mass(loaded);
   a_ += loaded;

@@ -15,6 +15,7 @@ StepAdjoint::StepAdjoint(const Tree& tree, int stages)
       stages_(tree, step_.model(), stages, 1),
       node_(tree, step_.model(), 1, 1),
       forces_(tree, stages),
+      rates_(tree),
       parameters_(tree),
       in_ball_(tree.nv, 0),
       weights_(static_cast<std::size_t>(stages) * stages_.padded()),
@@ -37,6 +38,7 @@ StepAdjoint::StepAdjoint(const Tree& tree, int stages)
 void StepAdjoint::take(const VecX& q0, const VecX& p0, double h, const VecX& tau, double time, const Servo* servo,
                        const MatX& velocities) {
   has_matrix_ = false;
+  rates_.forget();
   step_.take(q0, p0, h, tau, time, servo, velocities);
   step_.copy_to(stages_);
   stages_.work_.stiffness = nullptr;
@@ -214,6 +216,18 @@ bool StepAdjoint::solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef
   sweep();  // at the last multipliers
   finish(lq0, lp0, lh, ltau);
   return lq0.allFinite() && lp0.allFinite() && std::isfinite(lh) && ltau.allFinite();
+}
+
+void StepAdjoint::add_time(double& lt, double& lh) {
+  if (!rates_.any()) return;
+  const MatX& rates = rates_.of(step_);
+  const int S = stages_.padded();
+  for (int i = 0; i < stages_.count(); ++i) {
+    double at_stage = 0.0;
+    for (int d = 0; d < tree_->nv; ++d) at_stage += G_bar_[d * S + i] * rates(d, i);
+    lt += at_stage;
+    lh += stages_.table().c[i] * at_stage;
+  }
 }
 
 void StepAdjoint::take_multipliers(const MatX& mu, const VecCRef& lq, const VecCRef& lp) {

@@ -18,6 +18,7 @@
 #include "step/ball_adjoint.hpp"
 #include "step/force_adjoint.hpp"
 #include "step/solved_step.hpp"
+#include "step/stage_force_rates.hpp"
 #include "step/step_parameters.hpp"
 
 namespace contactvi {
@@ -34,6 +35,8 @@ class StepAdjoint {
   // False where the equations were not solved.
   bool solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef lp0, double& lh, VecRef ltau,
              const double* source = nullptr);
+  // After solve(): adds what forces that depend on time give to the gradients in the time of the start and in h.
+  void add_time(double& lt, double& lh);
   // Takes multipliers of the stage equations, (nv, s), that were found elsewhere, with the gradient in (q1, p1): for
   // add_parameters().
   void take_multipliers(const MatX& mu, const VecCRef& lq, const VecCRef& lp);
@@ -61,6 +64,7 @@ class StepAdjoint {
   Stages stages_;  // the Lagrangian's part of P and G, and derivatives
   Stages node_;    // a single state, for momentum()
   ForceAdjoint forces_;
+  StageForceRates rates_;
   ParameterAdjoint parameters_;
   std::vector<BallAdjoint> balls_;
   std::vector<char> in_ball_;  // per dof

@@ -21,6 +21,7 @@ StepTangent::StepTangent(const Tree& tree, int stages)
       stages_(tree, step_.model(), stages, 1),
       node_(tree, step_.model(), 1, 1),
       field_(tree),
+      rates_(tree),
       parameters_(tree),
       q_(tree.nq),
       v_(tree.nv),
@@ -33,6 +34,7 @@ StepTangent::StepTangent(const Tree& tree, int stages)
 void StepTangent::take(const VecX& q0, const VecX& p0, double h, const VecX& tau, double time, const Servo* servo,
                        const MatX& velocities) {
   has_matrix_ = false;
+  rates_.forget();
   step_.take(q0, p0, h, tau, time, servo, velocities);
   step_.copy_to(stages_);
   stages_.clear_impulse();
@@ -328,6 +330,7 @@ void StepTangent::add_extra(void* self) {
   if (!t.tree_->split.empty()) t.add_split_inputs();
   if (t.stages_.has_ball_springs_) t.add_ball_springs();
   if (t.field_.any()) t.add_elements();
+  if (t.rates_.any()) t.add_force_rates();
   if (t.direction_->parameters != nullptr) t.add_parameters();
 }
 
@@ -402,6 +405,19 @@ void StepTangent::add_parameters() {
     for (int i = 0; i < S; ++i) {
       shadow(stages_.P_)[d * S + i] += parameter_P_(d, std::min(i, s - 1));
       shadow(stages_.G_)[d * S + i] += parameter_G_(d, std::min(i, s - 1));
+    }
+}
+
+// The time of a stage moves with the start and with the length.
+void StepTangent::add_force_rates() {
+  const double t = direction_->t, h = direction_->h;
+  if (t == 0.0 && h == 0.0) return;
+  const MatX& rates = rates_.of(step_);
+  const int S = stages_.padded(), s = stages_.count();
+  for (int d = 0; d < tree_->nv; ++d)
+    for (int k = 0; k < S; ++k) {
+      const int i = std::min(k, s - 1);
+      shadow(stages_.G_)[d * S + k] += (t + stages_.table().c[i] * h) * rates(d, i);
     }
 }
 

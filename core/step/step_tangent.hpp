@@ -13,6 +13,7 @@
 
 #include "model/force_tangent.hpp"
 #include "step/solved_step.hpp"
+#include "step/stage_force_rates.hpp"
 #include "step/step_parameters.hpp"
 
 namespace contactvi {
@@ -20,6 +21,7 @@ namespace contactvi {
 // A direction in all that a step depends on; what is empty does not change.
 struct StepDirection {
   VecX q, p;       // of the start, (nv,)
+  double t = 0.0;  // of its time [s]
   double h = 0.0;  // of the step's length [s]
   VecX tau;        // of the generalized force, public coordinates (nv,)
   MatX impulses;   // of those that the stages receive besides, in the charts of spherical joints (nv, s)
@@ -77,6 +79,7 @@ class StepTangent {
   void add_split_inputs();
   void add_ball_springs();
   void add_elements();
+  void add_force_rates();
   void set_parameters();
   void add_parameters();
   Vec3 ball_turn(const Joint& joint, int stage) const;
@@ -89,6 +92,7 @@ class StepTangent {
   Stages stages_;  // numbers and their derivatives
   Stages node_;    // a single state, for momentum()
   ForceTangent field_;
+  StageForceRates rates_;
   ParameterTangent parameters_;
   MatX parameter_P_, parameter_G_;  // derivatives along the parameters at the stages, (nv, s)
   VecX q_, v_, dq_, dv_, df_, r_, dtau_;
