@@ -251,8 +251,8 @@ double EndForce::rate(const VecX& fq, const VecX& fp) {
   return e.driven() || forces_depend_on_time(e) ? rest + rate_in_time(rest) : rest;
 }
 
-// Of the force at one state, where prescribed motions and forces that depend on time alone go on: from the forces, which
-// are smooth where their norm, as that of friction, is not.
+// Of the force at one state, where prescribed motions and forces that depend on time alone go on: from the forces,
+// which are smooth where their norm, as that of friction, is not.
 double EndForce::rate_in_time(double rest) {
   const double step = std::min(kLongest, 0.25 * (end_.time - t0_));
   double found[2];
