@@ -13,7 +13,8 @@ tree: the lists of files, and what each needs to load, are those of the tests.
 - Limp: no actuator acts. `--held`: servos hold the joints at the start; those of an MJCF are its position actuators, a
   URDF is given some that are as stiff as hold it.
 - Time: CPU time of 0.5 s in steps of 2 ms, of one thread, the best of up to three runs; the ratio is over MuJoCo's.
-  Columns besides: impacts, steps that were halved, dense steps, the least gap at the end [m].
+  Columns besides: general distances (GJK) per step, impacts, steps that were halved, dense steps, the least gap at the
+  end [m].
 """
 
 from __future__ import annotations
@@ -169,13 +170,14 @@ def ratio(row: Row) -> float:
 
 
 def table(rows: list[Row]) -> list[str]:
-    head = ("file", "dofs", "pairs", "ms/s", "over MuJoCo", "impacts", "halved", "dense", "gap", "status")
+    head = ("file", "dofs", "pairs", "ms/s", "over MuJoCo", "distances", "impacts", "halved", "dense", "gap", "status")
     cells = []
     for row in sorted(rows, key=ratio, reverse=True):
         counts = row.get("counts", {})
         cells.append([
             f"`{row['file']}`", row.get("dofs", "-"), row.get("pairs", "-"), f"{1e3 * row['seconds'] / SPAN:.3g}",
-            f"{ratio(row):.3g}", counts.get("impacts", "-"), counts.get("halved", "-"), counts.get("dense_steps", "-"),
+            f"{ratio(row):.3g}", f"{counts.get('distances', 0) / max(counts.get('steps', 0), 1):.3g}",
+            counts.get("impacts", "-"), counts.get("halved", "-"), counts.get("dense_steps", "-"),
             f"{row.get('gap', float('nan')):.0e}", row["status"],
         ])  # fmt: skip
     return markdown(head, [list(map(str, row)) for row in cells])

@@ -72,6 +72,8 @@ class Stats:
         halved: steps cut in two because their stage iterations did not converge.
         rejected: steps that "auto" made again shorter.
         guards_evaluated, guards_skipped: pairs and limits looked at, and those that could not be reached in the step.
+        distances: of the pairs looked at, those that needed the general distance of convex shapes (GJK); others have
+            a closed form, or touch in points that bound their distance.
         impacts: number of them.
         switches: where a rope went slack or taut, or an actuator came to its limit or left it, and a step ended there.
         held_branches: ropes and actuators whose law was kept over the rest of a step, where it would change for ever.
@@ -96,6 +98,7 @@ class Stats:
     factorizations: int = 0
     guards_evaluated: int = 0
     guards_skipped: int = 0
+    distances: int = 0
     impacts: int = 0
     seconds: float = 0.0
     halved: int = 0

@@ -47,6 +47,7 @@ class EngineCounts(TypedDict):
     factorizations: int
     guards_evaluated: int
     guards_skipped: int
+    distances: int
     impacts: int
     seconds: float
     halved: int

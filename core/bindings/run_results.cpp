@@ -25,6 +25,7 @@ Dict stats(const RunState& state, const EngineCounters& counters, double seconds
   d["factorizations"] = counters.steps.factorizations;
   d["guards_evaluated"] = counters.guards.evaluated;
   d["guards_skipped"] = counters.guards.skipped;
+  d["distances"] = counters.guards.distances;
   d["impacts"] = state.impacts;
   d["seconds"] = seconds;
   d["saturated"] = state.actuators.saturated + state.switches.jumps;

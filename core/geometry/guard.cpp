@@ -276,6 +276,7 @@ double Guards::find_nearest(int guard, Contact& contact) {
   if (has_closed_form(guard) && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
   counters.cost += a.is_ball || b.is_ball ? costs::near_distance() : costs::distance();
   const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
+  ++counters.distances;
   distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
   contact.body_a = a.body;
   contact.body_b = b.body;

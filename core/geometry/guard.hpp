@@ -32,6 +32,7 @@ namespace contactvi {
 struct GuardCounters {
   long evaluated = 0;  // exact gaps
   long skipped = 0;    // guards of a step settled without one
+  long distances = 0;  // of the exact gaps, those that coal's general distance of convex shapes told
   double cost = 0.0;   // of the exact ones (model/step_costs.hpp)
 };
 

@@ -18,6 +18,7 @@ void sum_up(const EngineCounters& part, EngineCounters& sum) {
   sum.steps.factorizations += part.steps.factorizations;
   sum.guards.evaluated += part.guards.evaluated;
   sum.guards.skipped += part.guards.skipped;
+  sum.guards.distances += part.guards.distances;
   sum.contact.steps += part.contact.steps;
   sum.contact.contact_iterations += part.contact.contact_iterations;
   sum.contact.problems += part.contact.problems;

@@ -246,8 +246,8 @@ void fields(Archive& a, StepCounters& x) {
 
 template <class Archive>
 void fields(Archive& a, GuardCounters& x) {
-  auto& [evaluated, skipped, cost] = x;
-  values(a, evaluated, skipped, cost);
+  auto& [evaluated, skipped, distances, cost] = x;
+  values(a, evaluated, skipped, distances, cost);
 }
 
 template <class Archive>

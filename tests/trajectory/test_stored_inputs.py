@@ -123,7 +123,7 @@ def test_a_saturated_run_is_still_refused(tmp_path):
     traj = cvi.simulate(scene, [0.0], [0.0], duration=0.1, dt=1e-2, control=np.full((10, 1), 3.0), record="gradient")
     loaded = cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))
     for run in (traj, loaded):
-        with pytest.raises(cvi.NotDifferentiable, match="at their limits"):
+        with pytest.raises(cvi.NotDifferentiable, match="at limits of speed"):
             run.sensitivity()
 
 
