@@ -87,18 +87,30 @@ Dict impact_rows(const Scene& s, const std::vector<ImpactRecord>& impacts) {
   return d;
 }
 
-std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {
-  const std::size_t n = rows.t.size();
+std::optional<Dict> contact_rows(const Scene& s, const std::vector<ContactRow>& rows) {
+  const auto n = static_cast<Eigen::Index>(rows.size());
   if (n == 0) return std::nullopt;
   IntVec kind(n), index(n), point(n), mode(n), dense(n), step(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    const PublicGuard guard = public_guard(s, rows.guard[i]);
+  VecX t(n), h(n), gap(n), work(n);
+  Rows position(n, 3), normal(n, 3), start(n, 3), end(n, 3), slip(n, 3);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const ContactRow& row = rows[static_cast<std::size_t>(i)];
+    const PublicGuard guard = public_guard(s, row.guard);
     kind[i] = static_cast<int>(guard.kind);
     index[i] = guard.index;
-    point[i] = rows.point[i];
-    mode[i] = static_cast<int>(rows.mode[i]);
-    dense[i] = rows.dense[i];
-    step[i] = rows.step[i];
+    point[i] = row.point;
+    mode[i] = static_cast<int>(row.mode);
+    dense[i] = row.dense ? 1 : 0;
+    step[i] = row.step;
+    t[i] = row.t;
+    h[i] = row.h;
+    gap[i] = row.gap;
+    work[i] = row.work;
+    position.row(i) = row.position;
+    normal.row(i) = row.normal;
+    start.row(i) = row.position_impulse;
+    end.row(i) = row.velocity_impulse;
+    slip.row(i) = row.slip;
   }
   Dict d;
   d["kind"] = kind;
@@ -107,15 +119,15 @@ std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {
   d["mode"] = mode;
   d["dense"] = dense;
   d["step"] = step;
-  d["t"] = hand_over(std::move(rows.t));
-  d["h"] = hand_over(std::move(rows.h));
-  d["gap"] = hand_over(std::move(rows.gap));
-  d["position"] = hand_over(std::move(rows.position), n, 3);
-  d["normal"] = hand_over(std::move(rows.normal), n, 3);
-  d["start"] = hand_over(std::move(rows.position_impulse), n, 3);
-  d["end"] = hand_over(std::move(rows.velocity_impulse), n, 3);
-  d["slip"] = hand_over(std::move(rows.slip), n, 3);
-  d["work"] = hand_over(std::move(rows.work));
+  d["t"] = hand_over(std::move(t));
+  d["h"] = hand_over(std::move(h));
+  d["gap"] = hand_over(std::move(gap));
+  d["position"] = hand_over(std::move(position));
+  d["normal"] = hand_over(std::move(normal));
+  d["start"] = hand_over(std::move(start));
+  d["end"] = hand_over(std::move(end));
+  d["slip"] = hand_over(std::move(slip));
+  d["work"] = hand_over(std::move(work));
   return d;
 }
 

@@ -27,7 +27,7 @@ VecX public_momentum(const Tree& tree, const VecX& q, VecX p);
 
 Dict impact_rows(const Scene& s, const std::vector<ImpactRecord>& impacts);
 // Each is None where there is nothing to report. The lists are moved from.
-std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows);
+std::optional<Dict> contact_rows(const Scene& s, const std::vector<ContactRow>& rows);
 std::optional<Dict> contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes);
 std::optional<Dict> step_phases(Recording& recording);
 std::optional<Dict> dense_steps(const Scene& s, const Recording& recording);

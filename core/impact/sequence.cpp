@@ -337,8 +337,8 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
     weight += lambda[m * i];
     if (c.gap < closed.contacts[deepest].gap) deepest = i;
     if (options_.record_contacts && scene_->is_pair(closed.guard))
-      recording.contacts.push(at.time, 0.0, closed.guard, closed.points[i].feature, ContactMode::kImpact, at.step,
-                              middle, c.normal, impulse, Vec3::Zero(), c.gap, Vec3::Zero());
+      recording.contacts.push_back({at.time, 0.0, closed.guard, closed.points[i].feature, ContactMode::kImpact, at.step,
+                                    middle, c.normal, impulse, Vec3::Zero(), c.gap, Vec3::Zero()});
   }
   const Contact& c = closed.contacts[deepest];
   if (closed.count == 1 && m == 1) r.impulse_vector = result.impulse * c.normal;

@@ -39,36 +39,17 @@ enum class ContactMode : int { kSticks = 0, kSlips = 1, kFrictionless = 2, kImpa
 
 // Contact forces: one row per persistent contact and step, and per point of an impact (h = 0). World frame, impulses on
 // geometry b.
-struct ContactRows {
-  std::vector<double> t, h, gap, work;                                             // work: of friction in the step [J]
-  std::vector<double> position, normal, position_impulse, velocity_impulse, slip;  // three numbers a row
-  std::vector<int> guard, mode, dense;  // mode: ContactMode; dense: 1 for a row of a dense step, else 0
-  std::vector<std::int64_t> point;
-  std::vector<long> step;
-
-  void push(double time, double length, int guard_number, std::int64_t feature, ContactMode contact_mode,
-            long step_number, const Vec3& x, const Vec3& n, const Vec3& first, const Vec3& second, double phi,
-            const Vec3& velocity, double friction_work = 0.0) {
-    t.push_back(time);
-    h.push_back(length);
-    guard.push_back(guard_number);
-    point.push_back(feature);
-    mode.push_back(static_cast<int>(contact_mode));
-    dense.push_back(0);
-    step.push_back(step_number);
-    gap.push_back(phi);
-    work.push_back(friction_work);
-    for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&position_impulse, &first),
-                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity)})
-      list->insert(list->end(), value->data(), value->data() + 3);
-  }
-  void cut(std::size_t rows) {
-    for (auto* list : {&t, &h, &gap, &work}) list->resize(rows);
-    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip}) list->resize(3 * rows);
-    for (auto* list : {&guard, &mode, &dense}) list->resize(rows);
-    point.resize(rows);
-    step.resize(rows);
-  }
+struct ContactRow {
+  double t, h;  // start and length of the step [s]
+  int guard;
+  std::int64_t point;
+  ContactMode mode;
+  long step;
+  Vec3 position, normal, position_impulse, velocity_impulse;
+  double gap;
+  Vec3 slip;
+  double work = 0.0;   // of friction in the step [J]
+  bool dense = false;  // of a dense step
 };
 
 // Beginnings, ends and changes of persistent contacts. The numbers are those of stored runs.
@@ -108,7 +89,7 @@ struct Recording {
   std::vector<ImpactRecord> impacts;
   Segments segments;
   std::vector<double> adaptive_t, adaptive_dt;  // of run_auto: start and step of each smooth piece of the motion [s]
-  ContactRows contacts;
+  std::vector<ContactRow> contacts;
   std::vector<ChangeRecord> changes;
   std::vector<DenseRecord> dense;
   // Where the kind or the length of the steps changes: from phase_t on steps of length phase_dt and of kind phase_kind
@@ -131,7 +112,7 @@ struct Recording {
   // Forgets impacts, contacts, changes, dense steps and phases, and keeps their memory.
   void clear() {
     impacts.clear();
-    if (!contacts.t.empty()) contacts.cut(0);
+    contacts.clear();
     changes.clear();
     dense.clear();
     phase_t.clear();
@@ -139,7 +120,7 @@ struct Recording {
     phase_kind.clear();
   }
   // Whether there are impacts, contacts, changes or dense steps.
-  bool any_entry() const { return !(impacts.empty() && contacts.t.empty() && changes.empty() && dense.empty()); }
+  bool any_entry() const { return !(impacts.empty() && contacts.empty() && changes.empty() && dense.empty()); }
   // Forgets everything, and keeps its memory.
   void restart() {
     cut({0, 0, 0, 0, 0, 0, 0});
@@ -151,8 +132,7 @@ struct Recording {
     std::size_t nodes, impacts, segments, contacts, changes, phases, dense;
   };
   Mark mark() const {
-    return {t.size(),       impacts.size(), segments.t.size(), contacts.t.size(),
-            changes.size(), phase_t.size(), dense.size()};
+    return {t.size(), impacts.size(), segments.t.size(), contacts.size(), changes.size(), phase_t.size(), dense.size()};
   }
   void cut(const Mark& mark) {
     const std::size_t nodes = t.size() > 0 ? t.size() : 1;
@@ -171,7 +151,7 @@ struct Recording {
     segments.p1.resize(mark.segments * nv);
     segments.rates.resize(mark.segments * rates);
     segments.persistent.resize(mark.segments);
-    contacts.cut(mark.contacts);
+    contacts.resize(mark.contacts);
     changes.resize(mark.changes);
     phase_t.resize(mark.phases);
     phase_dt.resize(mark.phases);

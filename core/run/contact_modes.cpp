@@ -362,17 +362,17 @@ void ContactModes::commit(double time, long step, bool wanted, Recording& record
     if (!wanted) continue;
     const Vec3 zero = Vec3::Zero();
     if (!scene_->is_pair(c.point.guard)) {
-      recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, step, zero, zero,
-                              0.5 * impulse.local, 0.5 * impulse.local, end.contact.gap, zero);
+      recording.contacts.push_back({time, h, c.point.guard, 0, ContactMode::kFrictionless, step, zero, zero,
+                                    0.5 * impulse.local, 0.5 * impulse.local, end.contact.gap, zero});
       continue;
     }
     const ContactMode mode = c.mu == 0.0 ? ContactMode::kFrictionless
                              : j >= 0    ? ContactMode::kSlips
                                          : ContactMode::kSticks;
-    recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, step,
-                            0.5 * (end.contact.point_a + end.contact.point_b),
-                            impulses_.mean_normal(i, end.contact.normal), 0.5 * impulse.world, 0.5 * impulse.world,
-                            end.contact.gap, c.slip, impulse.work);
+    recording.contacts.push_back({time, h, c.point.guard, c.point.feature, mode, step,
+                                  0.5 * (end.contact.point_a + end.contact.point_b),
+                                  impulses_.mean_normal(i, end.contact.normal), 0.5 * impulse.world,
+                                  0.5 * impulse.world, end.contact.gap, c.slip, impulse.work});
   }
   step_->leave();
   step_->follow(rows.end_velocity());

@@ -345,17 +345,17 @@ void Simulator::record_contact_forces(double time, double h, Recording& recordin
     if (!scene_->is_pair(persistent.point.guard)) {
       // A joint limit has no contact point: its impulse is the first of the three numbers.
       const Vec3 zero = Vec3::Zero();
-      recording.contacts.push(time, h, persistent.point.guard, 0, ContactMode::kFrictionless, state_.step, zero, zero,
-                              out.position_impulse, out.velocity_impulse, out.contact.gap, zero);
+      recording.contacts.push_back({time, h, persistent.point.guard, 0, ContactMode::kFrictionless, state_.step, zero,
+                                    zero, out.position_impulse, out.velocity_impulse, out.contact.gap, zero});
       continue;
     }
     const Vec3 middle = 0.5 * (out.contact.point_a + out.contact.point_b);
     const ContactMode mode = persistent.mu == 0.0       ? ContactMode::kFrictionless
                              : out.slips || out.slipped ? ContactMode::kSlips
                                                         : ContactMode::kSticks;
-    recording.contacts.push(time, h, persistent.point.guard, persistent.point.feature, mode, state_.step, middle,
-                            out.contact.normal, out.position_impulse_W, out.velocity_impulse_W, out.contact.gap,
-                            out.slip_W, out.friction_work);
+    recording.contacts.push_back({time, h, persistent.point.guard, persistent.point.feature, mode, state_.step, middle,
+                                  out.contact.normal, out.position_impulse_W, out.velocity_impulse_W, out.contact.gap,
+                                  out.slip_W, out.friction_work});
   }
 }
 

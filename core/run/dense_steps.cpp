@@ -211,19 +211,17 @@ void Simulator::accept_dense_step(double time, double h, Recording& recording) {
 void Simulator::record_dense_contact(const DenseContact& c, double time, double h, Recording& recording) const {
   if (!scene_->is_pair(c.point.guard)) {
     const Vec3 zero = Vec3::Zero();
-    recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, state_.step, zero, zero, c.position,
-                            c.velocity, c.at1.gap, zero);
-    recording.contacts.dense.back() = 1;
+    recording.contacts.push_back({time, h, c.point.guard, 0, ContactMode::kFrictionless, state_.step, zero, zero,
+                                  c.position, c.velocity, c.at1.gap, zero, 0.0, true});
     return;
   }
   const double slow = kSlow * (1.0 + dense_step_.end_velocity().cwiseAbs().maxCoeff());
   const ContactMode mode = c.mu == 0.0           ? ContactMode::kFrictionless
                            : c.slip_speed > slow ? ContactMode::kSlips
                                                  : ContactMode::kSticks;
-  recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, state_.step,
-                          0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal, c.position_W(), c.velocity_W(),
-                          c.at1.gap, c.slip_W);
-  recording.contacts.dense.back() = 1;
+  recording.contacts.push_back({time, h, c.point.guard, c.point.feature, mode, state_.step,
+                                0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal, c.position_W(), c.velocity_W(),
+                                c.at1.gap, c.slip_W, 0.0, true});
 }
 
 }  // namespace contactvi

@@ -241,10 +241,11 @@ bool Island::set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref) {
 
 // The record of the last step is that of this one, at another time.
 void Island::repeat_record(long step, double t, double length) {
-  ContactRows& rows = recording_.contacts;
-  std::fill(rows.t.begin(), rows.t.end(), t);
-  std::fill(rows.h.begin(), rows.h.end(), length);
-  std::fill(rows.step.begin(), rows.step.end(), step);
+  for (ContactRow& row : recording_.contacts) {
+    row.t = t;
+    row.h = length;
+    row.step = step;
+  }
   std::fill(recording_.phase_t.begin(), recording_.phase_t.end(), t);
   for (DenseRecord& dense : recording_.dense) {
     dense.time = t;
@@ -284,9 +285,8 @@ void Rest::count_undisturbed(const double* before, const double* now, Eigen::Ind
 void Island::count_rest(const VecX& before) {
   bool quiet = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty() &&
                !engine_->may_leave_dense_steps();
-  const std::vector<double>& starts = recording_.contacts.t;
-  for (double t : starts) quiet = quiet && t == starts.front();
-  for (int mode : recording_.contacts.mode) quiet = quiet && mode != static_cast<int>(ContactMode::kSlips);
+  const std::vector<ContactRow>& rows = recording_.contacts;
+  for (const ContactRow& row : rows) quiet = quiet && row.t == rows.front().t && row.mode != ContactMode::kSlips;
   rest_.count(before, numbers_->q, std::as_const(*engine_).state().q, quiet);
 }
 

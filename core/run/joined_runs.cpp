@@ -151,10 +151,10 @@ class Joining {
               if (k != entry.part) gather(k, entry.time);
             append_impact(part, r.impacts[entry.row], q_, p_, to.impacts);
           });
-    merge([](const Recording& r) { return r.contacts.t.size(); },
-          [](const Recording& r, std::size_t i) { return r.contacts.t[i]; },
+    merge([](const Recording& r) { return r.contacts.size(); },
+          [](const Recording& r, std::size_t i) { return r.contacts[i].t; },
           [&](const SubScene& part, const Recording& r, const Entry& entry) {
-            append_contact(part, r.contacts, entry.row, to.contacts);
+            append_contact(part, r.contacts[entry.row], to.contacts);
           });
     merge([](const Recording& r) { return r.changes.size(); },
           [](const Recording& r, std::size_t i) { return r.changes[i].time; },

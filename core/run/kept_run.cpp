@@ -33,7 +33,9 @@ bool counts_work(const Recording& recording) {
   const auto any = [](const std::vector<double>& values) {
     return std::any_of(values.begin(), values.end(), [](double value) { return value != 0.0; });
   };
-  return any(recording.work) || any(recording.contacts.work) || any(recording.reactions);
+  const auto slid = [](const ContactRow& row) { return row.work != 0.0; };
+  return any(recording.work) || any(recording.reactions) ||
+         std::any_of(recording.contacts.begin(), recording.contacts.end(), slid);
 }
 
 double contact_time(const KeptRun& run) {

@@ -2,14 +2,9 @@
 
 namespace contactvi {
 
-void append_contact(const SubScene& part, const ContactRows& from, std::size_t row, ContactRows& to) {
-  const auto three = [row](const std::vector<double>& list) {
-    return Vec3(list[3 * row], list[3 * row + 1], list[3 * row + 2]);
-  };
-  to.push(from.t[row], from.h[row], part.guards[from.guard[row]], from.point[row],
-          static_cast<ContactMode>(from.mode[row]), from.step[row], three(from.position), three(from.normal),
-          three(from.position_impulse), three(from.velocity_impulse), from.gap[row], three(from.slip), from.work[row]);
-  to.dense.back() = from.dense[row];
+void append_contact(const SubScene& part, const ContactRow& contact, std::vector<ContactRow>& to) {
+  to.push_back(contact);
+  to.back().guard = part.guards[contact.guard];
 }
 
 void append_change(const SubScene& part, ChangeRecord change, std::vector<ChangeRecord>& to) {

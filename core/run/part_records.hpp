@@ -6,8 +6,7 @@
 
 namespace contactvi {
 
-// Appends row `row` of its contacts.
-void append_contact(const SubScene& part, const ContactRows& from, std::size_t row, ContactRows& to);
+void append_contact(const SubScene& part, const ContactRow& contact, std::vector<ContactRow>& to);
 void append_change(const SubScene& part, ChangeRecord change, std::vector<ChangeRecord>& to);
 void append_dense(const SubScene& part, DenseRecord dense, std::vector<DenseRecord>& to);
 // Appends an impact of the part; q, p: of the whole scene at its time, of which the entries of the part are set here.

@@ -309,11 +309,11 @@ void fields(Archive& a, Segments& x) {
 }
 
 template <class Archive>
-void fields(Archive& a, ContactRows& x) {
-  auto& [t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense, point, step] =
+void fields(Archive& a, ContactRow& x) {
+  auto& [t, h, guard, point, mode, step, position, normal, position_impulse, velocity_impulse, gap, slip, work, dense] =
       x;
-  values(a, t, h, gap, position, normal, position_impulse, velocity_impulse, slip, work, guard, mode, dense, point,
-         step);
+  values(a, t, h, guard, point, mode, step, position, normal, position_impulse, velocity_impulse, gap, slip, work,
+         dense);
 }
 
 template <class Archive>

@@ -77,10 +77,10 @@ void World::merge_recordings(double t, double length, Recording& recording) {
   merge([](const Recording& r) { return r.impacts.size(); },
         [](const Recording& r, std::size_t i) { return r.impacts[i].time; },
         [&](const Entry& entry) { add_impact(entry, t, length, recording); });
-  merge([](const Recording& r) { return r.contacts.t.size(); },
-        [](const Recording& r, std::size_t i) { return r.contacts.t[i]; },
+  merge([](const Recording& r) { return r.contacts.size(); },
+        [](const Recording& r, std::size_t i) { return r.contacts[i].t; },
         [&](const Entry& entry) {
-          append_contact(entry.island->numbers(), entry.island->recording().contacts, entry.row, recording.contacts);
+          append_contact(entry.island->numbers(), entry.island->recording().contacts[entry.row], recording.contacts);
         });
   merge([](const Recording& r) { return r.changes.size(); },
         [](const Recording& r, std::size_t i) { return r.changes[i].time; },
