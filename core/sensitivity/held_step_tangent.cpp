@@ -308,12 +308,14 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   VecX x = VecX::Zero(unknowns()), off(unknowns()), end(end_.size());
   const VecX none = VecX::Zero(unknowns() - own), start = start_turns(d);
   assess(d, x, start, none.head(rows_ + slides_), off, end);
-  // What the direction alone changes, also of the time or the length.
+  // What the direction alone changes, also of the time or the length, in which forces and reactions may cancel.
+  double reactions = 0.0;
+  for (const HeldNode& node : nodes_) reactions += node.force().cwiseAbs().maxCoeff();
   const double q = std::max(
                    {d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0, end.head(nv_).cwiseAbs().maxCoeff()}),
+               h = record_->h,
                p = std::max({d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0,
-                             end.segment(nv_, nv_).cwiseAbs().maxCoeff()}),
-               h = record_->h;
+                             end.segment(nv_, nv_).cwiseAbs().maxCoeff(), std::abs(d.h) / h * reactions});
   const VecX size = end_.speed_sizes(q, p, h);
   VecX sizes(unknowns());
   for (int k = 0; k < stages_; ++k) {

@@ -22,6 +22,7 @@ CHANGES = {
     "a box sticks on a corner and an edge": ["begin", "slip", "begin", "release"],
     "a ball slips in a trough, and leaves a wall": ["begin", "begin", "release", "release", "begin", "begin"],
     "a wall is hit": ["begin", "release", "begin"],
+    "an arm comes to rest": ["begin", "stick", "slip"],  # as a whole: forces and reactions alone act until it slips
     "an arm with joint friction": ["begin", "release"],
     "a ball slips, and leaves a ball": ["begin", "release"],
     "a ball rolls, slips, leaves a ball": ["begin", "slip", "release"],
