@@ -27,6 +27,7 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
     cause = "integration error" if traj.forces is not None else "damping, inputs and integration error"
     guards = stats.guards_evaluated + stats.guards_skipped
     skipped = f", {100.0 * stats.guards_skipped / guards:.3g} % of the guards skipped" if guards else ""
+    iterations = f"{stats.stage_iterations} stage iterations"
     distances = f", {stats.distances / stats.steps:.3g} distances per step" if stats.distances and stats.steps else ""
     factor = f"{span / stats.seconds:.4g} x real time" if stats.seconds > 0 else ""
     return [
@@ -41,10 +42,7 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
         ("", f"{taken:+.6g} J by impacts{lost}{put_in}, {rest:+.3g} J by {cause}{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
-        (
-            "work",
-            f"{stats.stage_iterations} stage iterations, {stats.factorizations} factorizations{skipped}{distances}",
-        ),
+        ("work", f"{iterations}, {stats.factorizations} factorizations{skipped}{distances}"),
     ]
 
 

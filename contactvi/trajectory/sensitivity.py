@@ -275,7 +275,8 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
         raise NotDifferentiable(
             "Actuators were at limits of speed or, in contact steps of order 2, of effort, or a rope with a damper "
             "became taut",
-            reason="saturation", expected="limits of effort alone, beside contact above order 2; ropes without dampers",
+            reason="saturation",
+            expected="limits of effort alone, in smooth steps or beside contact above order 2; ropes without dampers",
             got=f"{inputs.saturated} steps in which a force is constant or jumps",
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False); give "
             "ropes no damping",

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/differences.hpp"
 #include "base/no_derivative.hpp"
 
 namespace contactvi {
@@ -13,8 +14,8 @@ constexpr double kApart = 1e-4;  // [s]
 // force swings with 1000 rad/s, and by its size where it jumps; and of the forces there [1/s], by which they are 1e-2
 // apart where the rate of one that swings with 100 rad/s passes zero, and by 1e4 times a jump.
 constexpr double kSmooth = 0.1, kSmall = 1.0;
-// Of values at t, t - length, .., t - 4 length, in 1 / length: of fourth order, and of second with twice the length.
-constexpr double kFourth[] = {25.0 / 12.0, -4.0, 3.0, -4.0 / 3.0, 0.25}, kSecond[] = {0.75, 0.0, -1.0, 0.0, 0.25};
+// Of second order with twice the length, of values at t, t - length, .., t - 4 length, in 1 / length.
+constexpr double kSecond[] = {0.75, 0.0, -1.0, 0.0, 0.25};
 }  // namespace
 
 bool forces_depend_on_time(const Elements& e) {
@@ -32,7 +33,7 @@ void force_rate(ForceField& field, double t, double before, const VecCRef& q, co
   for (int i = 0; i < 5; ++i) {
     force.setZero();
     field.add(t - i * length, q, v, force, size);
-    rate += kFourth[i] / length * force;
+    rate += kOneSided[i] / (kDifferenceParts * length) * force;
     other += kSecond[i] / length * force;
   }
   const double most = std::max(rate.cwiseAbs().maxCoeff(), other.cwiseAbs().maxCoeff());

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "geometry/prepare.hpp"
+#include "model/force_rate.hpp"
 
 namespace contactvi {
 
@@ -14,11 +15,7 @@ int position(const std::vector<int>& sorted, int value) {
 }
 
 // Whether some force or constraint is a function of time, or may be one.
-bool depends_on_time(const Elements& e) {
-  bool any = e.driven() || !e.forces.empty() || !e.potentials.empty();
-  for (const AppliedWrench& wrench : e.wrenches) any |= static_cast<bool>(wrench.signal);
-  return any;
-}
+bool depends_on_time(const Elements& e) { return e.driven() || !e.potentials.empty() || forces_depend_on_time(e); }
 
 // The step lengths of two islands that become one.
 void combine(const StepControl& part, StepControl& all) {

@@ -20,9 +20,7 @@ constexpr double kZero =
 constexpr double kUnique = 1e-9;  // of a force: what the laws leave open
 // Of the rate of the force: to which it has to be known from differences in the time of prescribed motions and of
 // forces, which are made over four of these lengths [s] and over two.
-constexpr double kSameRate = 1e-6, kLongest = 2e-4;
-// Weights of a derivative from values at five times up to the one that it is for, of 1 / (12 step).
-constexpr double kBackward[] = {25.0, -48.0, 36.0, -16.0, 3.0};
+constexpr double kSameRate = 1e-7, kLongest = 2e-4;
 }  // namespace
 
 EndForce::EndForce(const Scene& scene, const RecordedRun& run)
@@ -262,7 +260,7 @@ double EndForce::rate_in_time(double rest) {
     for (int i = 4; i >= 0; --i) {
       time_ = end_.time - i * length;
       force(end_.q, end_.p, *tau_, mu_);
-      rates += kBackward[i] / (12.0 * length) * forces_;
+      rates += kOneSided[i] / (kDifferenceParts * length) * forces_;
     }
     found[k] = weights_.dot(rates);
   }

@@ -1,6 +1,7 @@
 #include "sensitivity/slip_start.hpp"
 
 #include <Eigen/QR>
+#include <algorithm>
 #include <cmath>
 
 #include "base/differences.hpp"
@@ -11,9 +12,9 @@
 namespace contactvi {
 
 namespace {
-// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; of
+// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; at most, of
 // time [s].
-constexpr double kStep = 1e-5, kTurn = 1e-3, kTime = 5e-4;
+constexpr double kStep = 1e-5, kTurn = 1e-3, kTime = 2e-4;
 // Of the mobility along the normal: less than that across a slip is none; and of the largest pivot.
 constexpr double kPlane = 1e-12, kDependent = 1e-7;
 }  // namespace
@@ -64,8 +65,7 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
   by_tau_ = differences(n, sized(kStep * input), [](Place& at, Eigen::Index k, double by) { at.tau[k] += by; });
   by_mu_ = differences(slides, sized(kStep), [](Place& at, Eigen::Index k, double by) { at.mu[k] += by; });
   by_t_ = MatX::Zero(static_cast<Eigen::Index>(begins_.size()), 1);
-  if (tree.elements.driven() || forces_depend_on_time(tree.elements))
-    by_t_ = differences(1, sized(kTime), [](Place& at, Eigen::Index, double by) { at.t += by; });
+  if (tree.elements.driven() || forces_depend_on_time(tree.elements)) set_time_rates(step.h);
   by_others_ = differences(slides, sized(kTurn), [](Place& at, Eigen::Index k, double by) { at.angles[k] += by; });
   solve_turns(mobility);
   return known_;
@@ -84,6 +84,16 @@ MatX SlipStart::differences(Eigen::Index count, Size size, Move move) {
     }
   }
   return found;
+}
+
+// Of time, within the step: functions of users may have no values before the start of the run or after its end.
+void SlipStart::set_time_rates(double step_length) {
+  const double length = std::min(kTime, 0.25 * step_length);
+  for (int i = 0; i < 5; ++i) {
+    Place at = start_;
+    at.t += i * length;
+    by_t_.col(0) -= kOneSided[i] / (kDifferenceParts * length) * across(at)(begins_);
+  }
 }
 
 // The accelerations of the slips across their directions. Leaves the velocity and the acceleration in v_ and a_.

@@ -36,8 +36,9 @@ class SlipStart {
   // What the accelerations across the directions are functions of.
   struct Place {
     VecX q, p, tau, mu, angles;
-    double t = 0.0;  // of prescribed motions [s]
+    double t = 0.0;  // of motions and forces [s]
   };
+  void set_time_rates(double step_length);
   VecX across(const Place& place);
   template <class Size, class Move>
   MatX differences(Eigen::Index count, Size size, Move move);

@@ -108,6 +108,22 @@ def test_a_function_is_asked_between_the_ends_of_the_run_alone(order):
     assert max(times) <= 0.2
 
 
+@pytest.mark.parametrize("order", [2, 4])
+def test_a_function_is_not_asked_before_a_slip_that_begins_with_the_run(order):
+    scene, q, v = body("ball", 0.1 / np.cos(0.3), [0.0] * 6, 0.05, tilt=0.3)
+    times: list[float] = []
+
+    def wrench(t: float) -> np.ndarray:
+        times.append(t)
+        return np.array([0.1 * np.sin(20 * t), 0.1 * np.cos(30 * t), 0.0])
+
+    scene.add_wrench("body", force=wrench)
+    traj = cvi.simulate(scene, q, v, 0.1, dt=0.01, order=order, record="gradient")
+    assert traj.contacts.array("mode")[0] == 1  # slips
+    assert transpose_error(traj, ["control"]) <= 2e-12
+    assert 0.0 <= min(times) <= max(times) <= 0.1
+
+
 def test_a_force_that_jumps_where_a_stage_lies_beside_an_event_has_none():
     scene, q, v = body("ball", 0.105, MOVING, 0.0, e=0.5)
     options = {"duration": 0.2, "dt": 0.01, "order": 2}
@@ -115,6 +131,6 @@ def test_a_force_that_jumps_where_a_stage_lies_beside_an_event_has_none():
     end = 0.01 * np.ceil(hit / 0.01)
     middle = 0.5 * (hit + end)  # of the rest of the step: its stage
     scene.add_wrench("body", force=lambda t: [0.0, 0.0, -5.0 * (t > middle - 1e-4)])
-    with pytest.raises(cvi.NotDifferentiable, match="changes smoothly|smoothly with time") as caught:
+    with pytest.raises(cvi.NotDifferentiable, match="smoothly with time") as caught:
         cvi.simulate(scene, q, v, record="gradient", **options).sensitivity()
     assert caught.value.reason == "time"
