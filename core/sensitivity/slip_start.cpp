@@ -12,8 +12,8 @@
 namespace contactvi {
 
 namespace {
-// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; at most, of
-// time [s].
+// Of the configuration [m; rad], of the speeds, of the inputs and coefficients of friction; of angles [rad]; at most,
+// of time [s].
 constexpr double kStep = 1e-5, kTurn = 1e-3, kTime = 2e-4;
 // Of the mobility along the normal: less than that across a slip is none; and of the largest pivot.
 constexpr double kPlane = 1e-12, kDependent = 1e-7;
