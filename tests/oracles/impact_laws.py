@@ -82,7 +82,7 @@ def _impulses(g: np.ndarray, gamma: np.ndarray, mu: float, target: float) -> lis
         return float(gamma[0] + g[0] @ impulse(normal) - target)
 
     scale = (target - gamma[0]) / g[0, 0]
-    grid = scale * np.concatenate([[0.0], np.geomspace(1e-6, 1.0, 200)[:-1], np.geomspace(1.0, 1e6, 800)])
+    grid = scale * np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 40)[:-1], np.geomspace(1.0, 1e3, 80)])
     values = [miss(x) for x in grid]
     roots = [
         brentq(miss, a, b, xtol=1e-300, rtol=8.9e-16)

@@ -97,16 +97,21 @@ def test_energy_of_newtons_law_may_grow():
     assert max(gains) > 0.01
 
 
-def test_slip_that_stops_and_starts_again_in_another_direction():
-    """In space: friction too weak to hold. Slip goes on along the one direction where it can grow, and straight on."""
-    g, mu, gamma = np.array([[1.0, 0.7, 0.3], [0.7, 2.0, 0.4], [0.3, 0.4, 1.5]]), 0.2, np.array([-1.0, -0.2, 0.05])
-    found = impact_laws.incremental(g, gamma, mu, 0.8)
-    assert [name for name, _, _ in found.phases] == ["slip", "slip again", "slip again"]
-    slip, angle = found.gamma[1:], impact_laws.slip_direction(g, mu)
-    assert math.atan2(slip[1], slip[0]) == pytest.approx(math.remainder(angle, 2.0 * math.pi), abs=1e-12)
-    friction = found.impulse[1:]
-    assert np.linalg.norm(friction) < mu * found.impulse[0]
-    assert impact_laws.kinetic_change(g, gamma, found.impulse) < 0.0
+def test_slip_where_friction_is_too_weak_to_hold():
+    """In space a slip then turns past zero into the one direction where it can grow; from rest it starts there."""
+    g, mu = np.array([[1.0, 0.7, 0.3], [0.7, 2.0, 0.4], [0.3, 0.4, 1.5]]), 0.2
+    angle = impact_laws.slip_direction(g, mu)
+    still = impact_laws.incremental(g, [-1.0, 0.0, 0.0], mu, 0.8)
+    assert [name for name, _, _ in still.phases] == ["slip again", "slip again"]
+    assert math.remainder(math.atan2(*still.gamma[:0:-1]) - angle, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+    turned = [impact_laws.incremental(g, [-1.0, -0.2, x], mu, 0.8) for x in (0.05, 1e-3)]
+    for impact in turned:
+        assert [name for name, _, _ in impact.phases] == ["slip", "slip"]
+        assert np.linalg.norm(impact.impulse[1:]) < 0.95 * mu * impact.impulse[0]
+        assert impact_laws.kinetic_change(g, [-1.0, -0.2, 0.05], impact.impulse) < 0.0
+    # as the limit of small slip
+    small = impact_laws.incremental(g, [-1.0, -1e-9, 2e-9], mu, 0.8)
+    assert small.impulse == pytest.approx(still.impulse, abs=1e-7)
 
 
 def test_rod_without_friction():
