@@ -83,4 +83,4 @@ def leg(
         if not abs(new - t) <= 1e-3 * abs(t - float(found.t[-2])) + 1e-12:
             break  # a tangential crossing: the interpolated time is as good
         t, y = new, flow(rhs, t, y, new, rtol, atol)
-    return Leg(t, y, index, found.sol)
+    return Leg(float(t), y, index, found.sol)
