@@ -68,7 +68,11 @@ def restitution(speed: float, c: float) -> float:
     x = c * speed
     if x == 0.0:
         return 1.0
-    return brentq(lambda e: _potential(-e * x) - _potential(x), 0.0, min(1.0, (1.0 - 1e-16) / x), xtol=1e-16)
+    if x < 0.9:
+        return brentq(lambda e: _potential(-e * x) - _potential(x), 0.0, 1.0, xtol=1e-16)
+    # with 1 - e x = exp(-z), which may be as small as it likes
+    z = brentq(lambda z: z + math.expm1(-z) - _potential(x), 0.0, _potential(x) + 1.0, xtol=1e-16)
+    return -math.expm1(-z) / x
 
 
 def damped_penetration(mass: float, k: float, n: float, speed: float, c: float) -> float:
