@@ -70,7 +70,7 @@ class StepKind(enum.IntEnum):
     DENSE = 2
 
 class Fallback(enum.IntEnum):
-    """Why the impulse of an impact is that of CTEC."""
+    """Why the impulse of an impact is not that of its law."""
 
     NONE = 0
 
@@ -83,6 +83,8 @@ class Fallback(enum.IntEnum):
     GRAZING = 4
 
     PERSISTENT = 5
+
+    GAIN = 6
 
 class GuardKind(enum.IntEnum):
     """What a guard function watches."""
@@ -371,6 +373,16 @@ class Scene:
 
     def constraint_rate(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """d phi/dt at fixed q, (m,)."""
+
+    def set_contact_law(self, pairs: Sequence[int], restitution: int, incremental: bool, keeps_energy: bool, tangential: float, e: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:
+        """
+        Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e as a function of the closing speed (table, address of a C function, function) or None.
+        """
+
+def follow_impact(G: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], w: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], mu: float, e: float, law: int) -> tuple:
+    """
+    Impulse (n, t1, t2) of one point by the incremental law, and that until the end of the compression: (ok, (3,), (3,)).
+    """
 
 class BlockContacts:
     """A contact problem of many blocks and its solver, for tests."""

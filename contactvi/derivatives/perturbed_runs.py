@@ -139,8 +139,7 @@ class PerturbedRuns:
         """Return (pair or joint and limit, value) of the coefficients that a column of this name changes."""
         word, _, pair = kind.partition(":")
         built = self._compiled.built
-        values = built.restitution if word == "restitution" else built.friction
-        found = [(names, float(value)) for names, value in zip(self._compiled.pair_names, values, strict=True)]
+        found = built.coefficients(word)
         if not pair:
             found = [row for row in found if row[1] > 0.0]
         if word == "restitution":

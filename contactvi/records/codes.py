@@ -48,7 +48,11 @@ class StepKind(IntEnum):
 
 
 class Fallback(IntEnum):
-    """Why the impulse of an impact is CTEC's."""
+    """Why the impulse of an impact is not that of its law.
+
+    GAIN: the coefficient of restitution would make energy; it is lowered where the law of the pair says so. All others:
+    it is CTEC's.
+    """
 
     NONE = 0
     PLASTIC = 1
@@ -56,6 +60,7 @@ class Fallback(IntEnum):
     INADMISSIBLE = 3
     GRAZING = 4
     PERSISTENT = 5
+    GAIN = 6
 
 
 # The words, each at the place of its number.
@@ -71,4 +76,5 @@ FALLBACKS = (
     "inadmissible: the root pulls or does not separate",
     "grazing: too slow for the equation to fix the impulse, its root is far from CTEC's",
     "persistent: what the map conserves is not known while contacts persist",
+    "gain: the coefficient of restitution would make energy",
 )

@@ -14,6 +14,7 @@ from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.element import Element
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
+from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved, resolve
 from contactvi.scene.engine import EngineScene, make_engine_scene
 from contactvi.scene.joint_arrays import JointArrays, apply_settings
@@ -55,8 +56,9 @@ class Built:
         pairs: Names of the tested pairs, in the engine's order.
         removed: Pairs that are not tested, with the reasons.
         overlaps: Pairs that overlap at the neutral pose, of which a run tests those that are apart in its start.
-        restitution, friction: Of the tested pairs, shapes (npairs,).
+        restitution, friction: Of the tested pairs, shapes (npairs,); what depends on the speed, at 1 m/s.
         overlap_values: Restitution and friction of the pairs of `overlaps`, shape (2, n).
+        laws: Laws of contact of the pairs that have one, each with the places of its pairs.
         elements: Constraints, springs and forces as the engine takes them.
         names: What selectors mean.
     """
@@ -71,6 +73,7 @@ class Built:
     restitution: np.ndarray
     friction: np.ndarray
     overlap_values: np.ndarray
+    laws: list[tuple[PairLaw, list[int]]]
     elements: Resolved
     names: Names
 
@@ -78,8 +81,16 @@ class Built:
     def engine(self) -> EngineScene:
         """The engine's scene (contactvi._core.Scene), made on first use; raises SceneError where it refuses."""
         return make_engine_scene(
-            self.model, self.collision, self.pairs.numbers, self.restitution, self.friction, self.arrays, self.elements
-        )
+            self.model, self.collision, self.pairs.numbers, self.restitution, self.friction, self.laws,
+            self.arrays, self.elements,
+        )  # fmt: skip
+
+    def coefficients(self, kind: str) -> list[tuple[tuple[str, str], float]]:
+        """Return the tested pairs whose "restitution" or "friction" is a number, with the numbers."""
+        values = self.restitution if kind == "restitution" else self.friction
+        varies = {k for law, places in self.laws if law.varies(kind) for k in places}
+        rows = enumerate(zip(self.pairs, values, strict=True))
+        return [(names, float(value)) for k, (names, value) in rows if k not in varies]
 
     @cached_property
     def states(self) -> States:
@@ -152,17 +163,24 @@ def build(
     tested = {(min(index[a], index[b]), max(index[a], index[b])) for a, b in apart}
     chosen, removed, overlaps = choose_pairs(assembly, parts.parts, disabled, enabled, tested)
     names = list(index)
+    tested_pairs = PairNames(names, chosen)
+    laws, restitution = contact.laws.laws(tested_pairs), contact.restitution.values(names, chosen)
+    for law, places in laws:
+        if law.restitution_of_speed is not None:
+            restitution = np.array(restitution)
+            restitution[places] = law.restitution_of_speed.at(1.0)
     return Built(
         model,
         collision,
         start,
         arrays,
-        PairNames(names, chosen),
+        tested_pairs,
         removed,
         overlaps,
-        contact.restitution.values(names, chosen),
+        restitution,
         contact.friction.values(names, chosen),
         np.array([rule.values(names, overlaps.numbers) for rule in (contact.restitution, contact.friction)]),
+        laws,
         resolve(elements, model, start),
         parts.names,
     )

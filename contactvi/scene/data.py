@@ -43,6 +43,7 @@ from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
 from contactvi.scene.build import Built
 from contactvi.scene.camera import Camera, camera_of
+from contactvi.scene.contact_laws import laws_from_data, laws_to_data
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import JointSettings, JointTable, Servo
 from contactvi.scene.pairs import ContactRules, Rule
@@ -92,6 +93,7 @@ def scene_to_dict(
         "neutral_overlaps": _overlaps_to_dict(built),
         "restitution": contact.restitution.default,
         "friction": contact.friction.default,
+        "contact_laws": laws_to_data(built.laws, list(built.pairs)),
         "stiffness": arrays.stiffness.tolist(),
         "rest": arrays.rest.tolist(),
         "limits": [bool(used) for used in arrays.limits],
@@ -102,6 +104,7 @@ def scene_to_dict(
         "missing": [
             *elements.missing,
             *(element.name for element in elements.elements if not element.storable),
+            *(f"the law of contact of {built.pairs[places[0]]}" for law, places in built.laws if not law.storable),
             *(target_name(name) for name, goal in arrays.targets.items() if not goal.storable),
         ],
         "parts": {
@@ -205,6 +208,7 @@ def _actuation_to_dict(built: Built) -> dict[str, Any]:
 
 def _contact(data: Mapping[str, Any]) -> ContactRules:
     rules = ContactRules(Rule(float(data["restitution"])), Rule(float(data["friction"])))
+    rules.laws = laws_from_data(data.get("contact_laws", ()))
     for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
         rules.restitution.set_pair([a], [b], float(e))
         rules.friction.set_pair([a], [b], float(mu))

@@ -14,6 +14,7 @@ import pinocchio as pin
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import SceneError
 from contactvi.importing.engine_model import engine_model
+from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
@@ -33,6 +34,7 @@ def make_engine_scene(
     pairs: np.ndarray,
     restitution: np.ndarray,
     friction: np.ndarray,
+    laws: Sequence[tuple[PairLaw, list[int]]],
     arrays: JointArrays,
     elements: Resolved,
 ) -> EngineScene:
@@ -42,6 +44,7 @@ def make_engine_scene(
         model, collision: The complete model and its geometry.
         pairs: Geometries of the tested pairs, int32 of shape (npairs, 2).
         restitution, friction: Of the tested pairs, shapes (npairs,).
+        laws: Laws of contact, each with the places of its pairs.
 
     Raises:
         EngineError: The engine refuses it.
@@ -63,6 +66,9 @@ def make_engine_scene(
             arrays.limit_restitution,
             RoundedHulls(),
         )
+        for law, places in laws:
+            a, b = (collision.geometryObjects[int(k)].name for k in pairs[places[0]])
+            scene.set_contact_law(places, **law.engine((a, b)))
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)

@@ -41,6 +41,7 @@ from contactvi.importing.report import (
     RemovedPair,
 )
 from contactvi.scene.assembly import Assembly
+from contactvi.scene.contact_laws import LawRules
 
 RESTITUTION = 0.5  # default: neither plastic nor elastic
 FRICTION = 0.0
@@ -136,12 +137,13 @@ class Rule:
 
 @dataclass
 class ContactRules:
-    """What the user gives about contacts: restitution, friction, and pairs of geometries switched off or on by name."""
+    """What the user gives about contacts: restitution, friction, laws, and pairs switched off or on by name."""
 
     restitution: Rule = field(default_factory=lambda: Rule(RESTITUTION))
     friction: Rule = field(default_factory=lambda: Rule(FRICTION))
     disabled: list[tuple[str, str]] = field(default_factory=list)
     enabled: list[tuple[str, str]] = field(default_factory=list)
+    laws: LawRules = field(default_factory=LawRules)
 
     def add_part(self, part: Part) -> None:
         """Take over friction and restitution of a model's file; what is set for geometries and pairs counts more."""

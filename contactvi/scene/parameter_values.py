@@ -106,8 +106,7 @@ class ParameterValues:
         """
         kind, _, pair = name.partition(":")
         built, model = self._built, self._built.model
-        values = built.restitution if kind == "restitution" else built.friction
-        found = [(names, float(value)) for names, value in zip(built.pairs, values, strict=True)]
+        found = built.coefficients(kind)
         limits = [i for i in range(1, model.njoints) if built.arrays.limits[i] and kind == "restitution"]
         stops = [((self._joints[i], side), float(built.arrays.limit_restitution[i])) for i in limits for side in LIMITS]
         if not pair:

@@ -39,6 +39,10 @@ def scene_report(parts: Sequence[Part], built: Built, table: JointTable, element
     if built.pairs:
         text = f"restitution {_range(built.restitution)}, Coulomb friction {_range(built.friction)}"
         report.notes.append(Note("used", "pairs", f"{len(built.pairs)}", text))
+    for law, places in built.laws:
+        a, b = built.pairs[places[0]]
+        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+        report.notes.append(Note("used", "law of contact", f"{a} and {b}{more}", law.words()))
     try:
         rounding = list(built.engine.rounding)
     except SceneError as error:

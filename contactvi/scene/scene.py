@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from contactvi.inputs import flag, mapping, pose, real, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
+from contactvi.scene.contact_laws import checked_contact
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
 from contactvi.scene.dynamics import SceneDynamics
 from contactvi.scene.element_list import ElementList
@@ -239,38 +240,59 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         a: Selector | None = None,
         b: Selector | None = None,
         *,
-        restitution: float | None = None,
+        restitution: float | ArrayLike | Callable[[float], float] | None = None,
         friction: float | None = None,
+        restitution_law: str | None = None,
+        impact_process: str | None = None,
+        limit_energy: bool | None = None,
+        tangential_restitution: float | None = None,
     ) -> None:
-        """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts; by default 0.5 and 0.
+        """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts, by default 0.5 and 0, and their laws.
 
-        Restitution is Poisson's, the ratio of the impulses of expansion and compression, which without friction is that
-        of the speeds; friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
+        Friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
         an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
         of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs;
-        and where none of the pairs between a and b is tested.
+        and where none of the pairs between a and b is tested. Laws (docs: laws of contact) count in the same order.
+
+        Args:
+            a, b: of the contacts that are meant.
+            restitution: a number, a table (n, 2) of closing speeds [m/s] and values, or a function of the closing speed
+                (a compiled one by its `address`, as of numba.cfunc: float64(float64)).
+            friction: Coulomb's coefficient.
+            restitution_law: "poisson" (default), the ratio of the impulses of expansion and compression; "newton", of
+                the speeds after and before; "energetic" (Stronge), whose square is the ratio of the works of the
+                normal impulse. Without friction all three are the same.
+            impact_process: "two-phase" (default), friction as in Glocker and Pfeiffer 1995; "incremental", an impact of
+                one point with friction is followed through its impulse, in which the slip turns, stops and turns back
+                (Routh 1905, Keller 1986). The energetic law always follows it.
+            limit_energy: whether restitution is lowered where it would make energy, as Newton's may (default); the
+                column fallback of the events says "gain" where it would, in both cases.
+            tangential_restitution: in [0, 1], by default 0: where friction holds the point in the impact, its slip is
+                reversed with this coefficient (Walton 1993).
         """
         if a is None and b is not None:
             a, b = b, None
         first = None if a is None else self._geometries(a, "a")
         second = None if b is None else self._geometries(b, "b")
-        checked = []
-        if restitution is not None:
-            checked.append((self._contact.restitution, real("restitution", restitution, 0.0, 1.0)))
-        if friction is not None:
-            checked.append((self._contact.friction, real("friction", friction, 0.0)))
-        for rule, value in checked:
+        rules = self._contact
+        numbers, laws = checked_contact(
+            restitution, friction, rules.laws.any_of("restitution_of_speed"), restitution_law=restitution_law,
+            impact_process=impact_process, limit_energy=limit_energy, tangential_restitution=tangential_restitution,
+        )  # fmt: skip
+        for what, value in numbers.items():
+            rule = rules.restitution if what == "restitution" else rules.friction
             if first is None and rule.overrides_default(self.names.geometries):
-                what = "restitution" if rule is self._contact.restitution else "friction"
                 warnings.warn(
                     f"No pair of shapes uses the default {what} {value:g}: the files give their own. "
                     f"set_contact(part, {what}={value:g}) replaces that of a part",
                     UnusedSettingWarning, stacklevel=2,
                 )  # fmt: skip
             rule.set(first, second, value)
-        if first is not None and second is not None and checked:
+        for name, value in laws.items():
+            rules.laws.set(name, first, second, value)
+        if first is not None and second is not None and (numbers or laws):
             self._warn_if_untested(first, second)
         self._built = None
 

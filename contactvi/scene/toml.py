@@ -58,6 +58,7 @@ from contactvi.importing.paths import resolve_path, unreadable
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.inputs import listed, pose
 from contactvi.options import Options
+from contactvi.scene.contact_laws import CONTACT_SETTINGS
 from contactvi.scene.scene import GRAVITY, Scene
 from contactvi.scene.toml_start import set_start
 from contactvi.scene.toml_tables import ELEMENTS, LISTS, at, check_keys
@@ -231,7 +232,7 @@ def _placement(entry: Mapping[str, Any]) -> pin.SE3:
 
 
 def _set_contact(scene: Scene, contact: Mapping[str, Any], file: Path) -> None:
-    values = {key: contact[key] for key in ("restitution", "friction") if key in contact}
+    values = {key: contact[key] for key in CONTACT_SETTINGS if key in contact}
     with at(file, "contact"):
         scene.set_contact(**values)
         for key, switch in (("disable", scene.disable_pair), ("enable", scene.enable_pair)):

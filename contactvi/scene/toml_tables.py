@@ -9,6 +9,7 @@ from typing import Any
 
 from contactvi.errors import ContactviError, SceneError, did_you_mean
 from contactvi.options import Options
+from contactvi.scene.contact_laws import CONTACT_SETTINGS
 
 _ENDS = ("a", "b")
 _POINTS = ("point_a", "point_b")
@@ -65,9 +66,9 @@ KEYS: dict[str, tuple[str, ...]] = {
     "ellipsoid": ("radii", *_BODY),
     "mesh": ("path", "density", "scale", "decompose", *_BODY),
     "halfspace": ("normal", "offset", "name", "color"),
-    "contact": ("restitution", "friction", "disable", "enable", "body", "pair"),
-    "contact.body": ("name", "restitution", "friction"),
-    "contact.pair": ("a", "b", "restitution", "friction"),
+    "contact": (*CONTACT_SETTINGS, "disable", "enable", "body", "pair"),
+    "contact.body": ("name", *CONTACT_SETTINGS),
+    "contact.pair": ("a", "b", *CONTACT_SETTINGS),
     "joint": (
         *("name", "stiffness", "rest", "damping", "limits", "restitution"),
         *("friction", "spring", "armature", "gear_ratio", "rotor_inertia"),

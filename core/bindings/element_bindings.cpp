@@ -16,6 +16,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
 #include "bindings/user_calls.hpp"
+#include "bindings/user_functions.hpp"
 #include "model/constraints.hpp"
 #include "model/coordinates.hpp"
 #include "model/coupling.hpp"
@@ -70,24 +71,6 @@ int clear(PyObject* self) {
   return 0;
 }
 
-// A function that is kept with the scene, found again by its place.
-struct UserFunction {
-  UserFunctions* kept;
-  std::size_t index;
-  template <class... Arguments>
-  nb::object operator()(Arguments&&... arguments) const {
-    return kept->list[index](std::forward<Arguments>(arguments)...);
-  }
-};
-
-UserFunction keep(Scene& s, const nb::object& function) {
-  std::shared_ptr<UserCalls>& owner = s.tree.elements.functions;
-  if (!owner) owner = std::make_shared<UserFunctions>();
-  auto* functions = static_cast<UserFunctions*>(owner.get());
-  functions->list.push_back(function);
-  return {functions, functions->list.size() - 1};
-}
-
 using Vec6 = Eigen::Matrix<double, 6, 1>;
 // Signatures of the user's functions, for the stub.
 using Motion = nb::typed<nb::callable, std::tuple<double, double, double>(double)>;
@@ -101,21 +84,6 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 void need(bool condition, const char* what) {
   if (!condition) throw Error(what);
-}
-
-// Makes a call of the user's function with the interpreter lock; where it fails, returns `otherwise` and notes it with
-// the function's owner.
-template <class Result, class Call>
-Result guarded(const UserFunction& function, const Result& otherwise, Call call) {
-  nb::gil_scoped_acquire gil;
-  try {
-    return call();
-  } catch (nb::python_error& error) {
-    UserErrors::keep(error);
-  } catch (const std::exception&) {  // the function returned something of a wrong type
-  }
-  function.kept->fail();
-  return otherwise;
 }
 
 // As guarded, at a state: where iterations diverge, so that it is not finite, the function is not asked.

@@ -44,13 +44,14 @@ void expose_run_enums(nb::module_& m) {
       .value("FREE", StepKind::kFree)
       .value("PERSISTENT", StepKind::kPersistent)
       .value("DENSE", StepKind::kDense);
-  nb::enum_<Fallback>(m, "Fallback", nb::is_arithmetic(), "Why the impulse of an impact is that of CTEC.")
+  nb::enum_<Fallback>(m, "Fallback", nb::is_arithmetic(), "Why the impulse of an impact is not that of its law.")
       .value("NONE", Fallback::kNone)
       .value("PLASTIC", Fallback::kPlastic)
       .value("NO_CONVERGENCE", Fallback::kNoConvergence)
       .value("INADMISSIBLE", Fallback::kInadmissible)
       .value("GRAZING", Fallback::kGrazing)
-      .value("PERSISTENT", Fallback::kPersistent);
+      .value("PERSISTENT", Fallback::kPersistent)
+      .value("GAIN", Fallback::kGain);
 }
 
 void expose_contact_enums(nb::module_& m) {

@@ -12,6 +12,7 @@ void expose_enums(nanobind::module_& m);
 void expose_model(nanobind::module_& m);
 void expose_scene(nanobind::module_& m);
 void expose_elements(nanobind::class_<Scene>& scene);
+void expose_laws(nanobind::module_& m, nanobind::class_<Scene>& scene);
 void expose_kept_runs(nanobind::module_& m, nanobind::class_<SteppedWorld>& simulator);
 void expose_runs_apart(nanobind::module_& m);
 void expose_posed_problems(nanobind::class_<SteppedWorld>& simulator);

@@ -339,6 +339,7 @@ void expose_scene(nb::module_& m) {
       .def("momentum_to_engine", &converted<public_to_engine>, "q"_a, "p"_a)
       .def("momentum_to_public", &converted<engine_to_public>, "q"_a, "p"_a);
   expose_elements(scene);
+  expose_laws(m, scene);
 }
 
 }  // namespace contactvi

@@ -3,9 +3,10 @@
 #include <Eigen/LU>
 #include <Eigen/SVD>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
+
+#include "cone/slip_directions.hpp"
 
 namespace contactvi {
 
@@ -18,63 +19,6 @@ constexpr double kExact = 64.0 * std::numeric_limits<double>::epsilon();  // rel
 constexpr double kSmallestPivot = 1e-7;  // of the largest diagonal: below it a contact counts as singular
 constexpr double kImmobile = 1e-4;       // of the largest singular value: below it a contact may be unable to move
 constexpr double kAgree = 1e-9;          // of the terms: by which the rows of a singular contact may disagree
-constexpr int kSamples = 24;             // of the circle, between which directions of slip are looked for
-
-struct Circle {
-  std::array<Vec2, kSamples + 1> u;
-  Circle() {
-    for (int i = 0; i <= kSamples; ++i) {
-      const double angle = 2.0 * M_PI * i / kSamples;
-      u[i] = Vec2(std::cos(angle), std::sin(angle));
-    }
-  }
-};
-const Circle kCircle;
-
-// f(u) = v.(k - Q u) with v = u turned by 90 degrees: k - Q u is parallel to u at its roots. With u = (cos a, sin a) it
-// is a trigonometric polynomial of degree 2 (a quartic in tan(a/2)): at most four roots.
-struct SlipDirections {
-  Vec2 k;
-  Mat2 Q;
-
-  double value(const Vec2& u) const {
-    const Vec2 f = k - Q * u;
-    return u[0] * f[1] - u[1] * f[0];
-  }
-  double slope(const Vec2& u) const {
-    const Vec2 v(-u[1], u[0]), f = k - Q * u, df = Q * v;
-    return -u.dot(f) - v.dot(df);
-  }
-  // Hands the roots to found(u), in a fixed order, until that is true: Newton's method kept inside brackets of an even
-  // sampling. Two roots between neighbouring samples are a nearly double root: slip is then about to end, and sticking
-  // was found before.
-  template <class Found>
-  bool roots(Found found) const {
-    double last = value(kCircle.u[0]);
-    for (int i = 1; i <= kSamples; ++i) {
-      const double next = value(kCircle.u[i]);
-      if ((last <= 0.0) != (next <= 0.0) && found(refine(kCircle.u[i - 1], kCircle.u[i], last, next))) return true;
-      last = next;
-    }
-    return false;
-  }
-  Vec2 refine(Vec2 low, Vec2 high, double f_low, double f_high) const {
-    Vec2 u = (low * std::abs(f_high) + high * std::abs(f_low)).normalized();
-    for (int k = 0; k < 60; ++k) {
-      const double f = value(u);
-      if (f == 0.0) break;
-      ((f <= 0.0) == (f_low <= 0.0) ? low : high) = u;
-      const double df = slope(u), angle = df != 0.0 ? -f / df : 1.0;
-      Vec2 next = std::abs(angle) < 0.5 ? (u + angle * Vec2(-u[1], u[0])).normalized() : low;
-      if (low[0] * next[1] - low[1] * next[0] <= 0.0 || next[0] * high[1] - next[1] * high[0] <= 0.0)
-        next = (low + high).normalized();
-      const double moved = (next - u).cwiseAbs().maxCoeff();
-      u = next;
-      if (moved <= 2.0 * std::numeric_limits<double>::epsilon()) break;
-    }
-    return u;
-  }
-};
 
 class OneContact {
  public:

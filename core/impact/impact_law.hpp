@@ -29,6 +29,7 @@ enum class Fallback : int {
   kInadmissible = 3,   // a root with lambda < 0, gamma+ <= 0 or, with e < 1, gamma+ > -gamma-
   kGrazing = 4,        // too slow for the equation to fix lambda: its root lies far from CTEC's
   kPersistent = 5,     // in persistent contact the rest of the step is not the smooth one that the scalar belongs to
+  kGain = 6,           // the coefficient of restitution would make energy; it is lowered where the pair's law says so
 };
 
 struct ImpactProblem {

@@ -6,6 +6,14 @@
 // speed with Coulomb friction can gain energy; Poisson's was never seen to (Brach; Glocker, Pfeiffer, "Multiple impacts
 // with friction in rigid multibody systems", 1995). That is checked, and e is lowered until there is no gain (e = 0
 // never gains).
+//
+// A pair may have another law (model/contact_law.hpp):
+//   Newton       one problem with gamma+_n + e gamma-_n >= 0 in the place of gamma+_n;
+//   energetic    the expansion's least impulses are k Lambda_1n, with k so that normal impulses give back e^2 of the work
+//                that they took in the compression;
+//   tangential   where friction holds, gamma+_t = -e_t gamma-_t: the expansion is then a problem for both impulses,
+//                Lambda_n >= (1 + e) Lambda_1n, with gamma+_t + e_t gamma-_t in the place of gamma+_t.
+// One point with the incremental or the energetic law is followed through its impact (incremental_impact.hpp).
 #pragma once
 
 #include <vector>
@@ -60,21 +68,39 @@ struct PoissonResult {
   VecX gamma_minus, gamma_plus;
   double loss = 0;         // T- - T+ [J]
   double restitution = 1;  // factor on e that was used
+  double gain = 0;         // energy that e itself would make [J], of a law that makes some
   int iterations = 0;
 };
 
 class PoissonImpact {
  public:
-  PoissonResult solve(const std::vector<BlockMember>& members, const VecX& p);
+  // law: of the first member, null: Poisson's. The other ones have e = 0.
+  PoissonResult solve(const std::vector<BlockMember>& members, const VecX& p, const ContactLaw* law = nullptr);
+  // The problem of the last solve() with other numbers: speeds gamma-, G, e of the first member and friction of the
+  // points. Restitution is not lowered.
+  const PoissonResult& solve_again(const VecX& gamma, const MatX& G, double e, const VecX& mu, const ContactLaw* law);
+  // What each point did in the last problem: equal where a change of the numbers has changed no piece of the law.
+  const std::vector<char>& course() const { return course_; }
 
  private:
-  bool cone(const VecX& start, bool expansion, double share, const std::vector<BlockMember>& members, VecX& lambda);
+  void set_problem(const std::vector<BlockMember>& members, const VecX& p);
+  bool follow(double e, const ContactLaw& law);
+  void note_course(const VecX& impulses, bool again);
+  bool cone(const VecX& start, VecX& lambda);
+  bool impulses(double e, double tangential, const ContactLaw& law);
+  bool expand(double e, double tangential);
+  bool expand_by_energy(double e, double tangential);
+  double normal_work(const VecX& lambda, const VecX& before) const;
+  void finish();
 
   ConeSolver solver_;
   std::vector<ConeContact> cones_;
   MatX G_;
-  VecX first_;
-  int iterations_ = 0;
+  VecX first_, second_, speeds_;  // impulses of the two problems; speeds of the rows that a problem starts from
+  PoissonResult result_;
+  int own_ = 0;              // points of the first member
+  bool compressed_ = false;  // first_ is the compression
+  std::vector<char> course_;
 };
 
 }  // namespace contactvi

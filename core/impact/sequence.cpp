@@ -72,6 +72,12 @@ bool ImpactSequence::find_fastest(const VecX& p, const std::vector<char>& plasti
   return worst == nullptr || gamma <= -std::max(kEndlessSpeed * scale, low);
 }
 
+// Coefficient of a contact that closes at p.
+double ImpactSequence::restitution(const ClosedGuard& closed, const VecX& p) const {
+  const ContactLaw* law = scene_->law(closed.guard);
+  return law != nullptr && law->e.given() ? law->e(std::max(0.0, -closed.gamma_n(p))) : closed.e;
+}
+
 bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, ImpactReference& reference, VecX& p,
                          Recording& recording) {
   code_ = StatusCode::kSuccess;
@@ -94,8 +100,10 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Im
     if (goes_on) {
       if (worst != nullptr) {
         const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_persistent_);
-        if (!(single ? impact_at_point(*worst, worst->e, at, p, recording)
-                     : impact_of_contact(*worst, worst->e, at, p, recording)))
+        const double e = restitution(*worst, p);
+        if (!std::isfinite(e))
+          return fail(StatusCode::kNotFinite, "a coefficient of restitution is not finite", worst->guard);
+        if (!(single ? impact_at_point(*worst, e, at, p, recording) : impact_of_contact(*worst, e, at, p, recording)))
           return false;
         if (++impacts_in_step_ > options_.max_impacts_per_step)
           return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", worst->guard);
@@ -204,7 +212,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
   if (options_.stiff_support)
     for (int i = 0; i < count_; ++i)
       if (closed_[i].persistent && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
-  const PoissonResult block = poisson_.solve(members, p);
+  const PoissonResult block = poisson_.solve(members, p, scene_->law(closed.guard));
   if (!block.ok) return fail_unsolved("an impact with friction was not solved", closed.guard);
   reference_->value -= block.loss;
   const std::size_t first = recording.impacts.size();
@@ -231,6 +239,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
   const double gamma = closed.gamma_n(p_minus);
   ImpactResult result = correct_impulse(closed, block, e, at, p);
   result.iterations += block.iterations;
+  if (block.gain > 0.0 && result.fallback == Fallback::kNone) result.fallback = Fallback::kGain;
   if (!result.ok || !p.allFinite())
     return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
   carry_over(result);
@@ -258,7 +267,8 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
     members.push_back({&c, 0.0});
   }
   if (!any) return true;
-  const PoissonResult block = poisson_.solve(members, p);
+  const ContactLaw* law = members.size() == 1 ? scene_->law(members[0].closed->guard) : nullptr;
+  const PoissonResult block = poisson_.solve(members, p, law);
   if (!block.ok) return fail_unsolved("a plastic impact was not solved", members[0].closed->guard);
   reference_->value -= block.loss;
   const std::size_t first = recording.impacts.size();

@@ -87,6 +87,7 @@ class ImpactSequence {
   bool is_mobile(const ClosedGuard& closed, int point);
   bool add_unused_point(const VecX& p);
   bool find_fastest(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic, ClosedGuard*& worst);
+  double restitution(const ClosedGuard& closed, const VecX& p) const;
   bool impact_at_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool is_rounding(const ClosedGuard& closed, const VecX& lambda) const;
   bool impact_of_contact(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);

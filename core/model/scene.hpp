@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "base/on_demand.hpp"
+#include "model/contact_law.hpp"
 #include "model/tree.hpp"
 
 namespace coal {
@@ -48,6 +49,7 @@ struct Pair {
   double friction;  // Coulomb's coefficient
   bool rounded;     // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
   bool refined;     // GJK iterates towards a cylinder or an ellipsoid: the distance is found to rounding from there
+  int law = -1;     // in Scene::laws; -1: none beyond the two coefficients
 };
 
 struct Scene {
@@ -55,10 +57,15 @@ struct Scene {
   Tree tree;
   std::vector<Geometry> geometries;
   std::vector<Pair> pairs;
+  std::vector<ContactLaw> laws;                 // of the pairs that have one
   std::shared_ptr<const PairTable> pair_table;  // of the pairs, made by prepare_geometry
 
   int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }
   bool is_pair(int guard) const { return guard < static_cast<int>(pairs.size()); }
+  // What a guard has beyond two coefficients, null: nothing.
+  const ContactLaw* law(int guard) const {
+    return is_pair(guard) && pairs[guard].law >= 0 ? &laws[pairs[guard].law] : nullptr;
+  }
   double friction(int guard) const { return is_pair(guard) ? pairs[guard].friction : 0.0; }
   double restitution(int guard) const {
     return is_pair(guard) ? pairs[guard].restitution : tree.limits[guard - pairs.size()].restitution;

@@ -160,6 +160,7 @@ void restrict_geometry(const Scene& whole, const StaticTrees& trees, const std::
     const auto at = std::lower_bound(sub.geometries.begin(), sub.geometries.end(), g);
     return static_cast<int>(at - sub.geometries.begin());
   };
+  sub.scene.laws = whole.laws;
   for (int k : pairs) {
     Pair pair = whole.pairs[k];
     pair.a = number(pair.a);

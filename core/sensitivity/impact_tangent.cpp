@@ -1,7 +1,9 @@
 #include "sensitivity/impact_tangent.hpp"
 
+#include <algorithm>
 #include <cmath>
 
+#include "base/differences.hpp"
 #include "model/coupling.hpp"
 #include "step/energy.hpp"
 
@@ -48,6 +50,7 @@ void ImpactTangent::take(const RecordedImpact& impact, const VecX& p_plus, const
   implicit_ = impact.map != ImpactMap::kCtec && impact.fallback == Fallback::kNone;
   take_rows(impact);
   margin_ = 1.0;
+  other_law_ = nullptr;
   if (rows_ > 1) take_poisson(impact);
   // What several contacts did one after the other, or with rigid supports, is not what these did.
   VecX off = impact.p_minus + W_ * lambda_ - p_plus;
@@ -141,7 +144,9 @@ void ImpactTangent::take_poisson(const RecordedImpact& impact) {
   std::vector<BlockMember> members;
   for (int k = 0; k < (impact.block != nullptr ? sequence_.count() : 1); ++k)
     members.push_back({&sequence_.closed(k), impact.block != nullptr ? sequence_.closed(k).e : impact.restitution});
-  const PoissonResult solved = poisson_.solve(members, impact.p_minus);
+  const bool elastic = members.front().e > 0.0;
+  const ContactLaw* law = members.size() == 1 || elastic ? scene_->law(members.front().closed->guard) : nullptr;
+  const PoissonResult solved = poisson_.solve(members, impact.p_minus, law);
   if (!solved.ok) throw Error("a recorded impact with friction was not solved");
   if (solved.restitution < 1.0)
     refuse("restitution", impact.guard,
@@ -149,6 +154,11 @@ void ImpactTangent::take_poisson(const RecordedImpact& impact) {
            "an impact that loses energy", std::to_string(solved.restitution) + " of the restitution",
            "Use a smaller restitution");
   lambda_ = solved.lambda;
+  if (law != nullptr && law->is_other()) {
+    other_law_ = law;
+    course_ = poisson_.course();
+    return;
+  }
   law_.take(points_, gamma_, G_, solved.first, solved.lambda);
   margin_ = law_.margin();
   if (margin_ < kOnCone)
@@ -246,15 +256,55 @@ void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   dG_ = dW_.transpose() * Z_ + Z_.transpose() * dW_ - Z_.transpose() * turned_;
 }
 
+// Changes of the coefficients of restitution, with those by the closing speed.
+VecX ImpactTangent::restitution_changes(const ImpactDirection& d) const {
+  VecX de = d.e;
+  for (int i = 0; i < points(); ++i) {
+    const ContactLaw* law = scene_->law(guard(i));
+    if (law == nullptr || !law->e.given() || !(points_[i].e > 0.0)) continue;
+    int first = points_[i].row;  // of the points of the contact the one that closes fastest
+    for (int k = 0; k < points(); ++k)
+      if (guard(k) == guard(i) && gamma_[points_[k].row] < gamma_[first]) first = points_[k].row;
+    de[i] -= law->e.slope(-gamma_[first]) * dgamma_[first];
+  }
+  return de;
+}
+
+// dLambda of a law without a closed form of its derivative: by differences of its solution, a function of few numbers.
+void ImpactTangent::apply_other_law(const ImpactDirection& d, const VecX& de, VecX& dlambda) {
+  constexpr double kStep = 1e-3;  // of the numbers
+  dlambda.setZero(rows_);
+  VecX mu(points());
+  for (int i = 0; i < points(); ++i) mu[i] = points_[i].mu;
+  const double share =
+      std::max({dgamma_.cwiseAbs().maxCoeff() / gamma_.cwiseAbs().maxCoeff(),
+                dG_.cwiseAbs().maxCoeff() / G_.cwiseAbs().maxCoeff(), std::abs(de[0]), d.mu.cwiseAbs().maxCoeff()});
+  if (!(share > 0.0)) return;
+  const double step = kStep / share;
+  for (const DifferenceTerm& term : kDifference) {
+    const double by = term.count * step;
+    const PoissonResult& there = poisson_.solve_again(gamma_ + by * dgamma_, G_ + by * dG_, points_[0].e + by * de[0],
+                                                      mu + by * d.mu, other_law_);
+    if (!there.ok) throw Error("a recorded impact was not solved");
+    if (d.checked && poisson_.course() != course_)
+      refuse("friction", impact_->guard, "An impact is next to a change of what it does",
+             "friction inside of its cone, or slip", "one that sticks, slips or turns back beside this one",
+             "Start elsewhere");
+    dlambda += term.weight / (kDifferenceParts * step) * there.lambda;
+  }
+}
+
 // dLambda of the explicit laws from dgamma and dG.
-void ImpactTangent::apply_law(const ImpactDirection& d, VecX& dlambda) const {
+void ImpactTangent::apply_law(const ImpactDirection& d, VecX& dlambda) {
+  const VecX de = restitution_changes(d);
   if (rows_ == 1) {
-    const double restitution = d.e[0] * gamma_[0] + (1.0 + impact_->restitution) * dgamma_[0];
+    const double restitution = de[0] * gamma_[0] + (1.0 + impact_->restitution) * dgamma_[0];
     dlambda = VecX::Constant(1, -(restitution + lambda_[0] * dG_(0, 0)) / G_(0, 0));
     return;
   }
+  if (other_law_ != nullptr) return apply_other_law(d, de, dlambda);
   const double size = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
-  const PoissonDirection direction{dgamma_, dG_, d.e, d.mu, size * Z_.cwiseAbs().colwise().sum().transpose()};
+  const PoissonDirection direction{dgamma_, dG_, de, d.mu, size * Z_.cwiseAbs().colwise().sum().transpose()};
   const PoissonTangent::Outcome outcome = law_.solve(direction, dlambda);
   if (outcome == PoissonTangent::Outcome::kSolved || !d.checked) return;
   if (outcome == PoissonTangent::Outcome::kKink)
@@ -271,7 +321,7 @@ void ImpactTangent::apply(const ImpactDirection& d, VecRef dp, double& loss) {
   const double e = impact_->restitution, gamma = gamma_[0], G = G_(0, 0);
   loss = 0.0;
   if (rows_ == 1)
-    loss = -d.e[0] * e * gamma * gamma / G +
+    loss = -restitution_changes(d)[0] * e * gamma * gamma / G +
            0.5 * (1.0 - e * e) * (2.0 * gamma * dgamma_[0] - gamma * gamma * dG_(0, 0) / G) / G;
   if (implicit_) {
     const VecX start = d.p + lambda_[0] * dW_.col(0);

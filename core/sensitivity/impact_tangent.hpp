@@ -43,7 +43,11 @@ class ImpactTangent {
   void take(const RecordedImpact& impact, const VecX& p_plus, const VecX& tau, const Servo* servo);
   int points() const { return static_cast<int>(points_.size()); }
   int guard(int point) const { return contact_of(point).guard; }
-  double restitution(int point) const { return points_[point].e; }
+  // Whether an impulse of a point depends on the coefficient of restitution of its pair.
+  bool takes_restitution(int point) const {
+    const ContactLaw* law = scene_->law(guard(point));
+    return points_[point].e > 0.0 && (law == nullptr || !law->e.given());
+  }
   // Which of its points this is; -1: none.
   int find(const ContactPoint& point) const;
   // W of the normal row of a point, (nv,): the gradient of its gap.
@@ -70,7 +74,9 @@ class ImpactTangent {
   void take_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo);
   void take_constrained_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo);
   void add_row_changes(const ImpactDirection& direction);
-  void apply_law(const ImpactDirection& direction, VecX& dlambda) const;
+  VecX restitution_changes(const ImpactDirection& direction) const;
+  void apply_law(const ImpactDirection& direction, VecX& dlambda);
+  void apply_other_law(const ImpactDirection& direction, const VecX& de, VecX& dlambda);
   double rest_change(const VecX& dq, const VecX& dp, double dh, double dt);
 
   const Scene* scene_;
@@ -80,6 +86,8 @@ class ImpactTangent {
   ImpactSequence sequence_;
   PoissonImpact poisson_;
   PoissonTangent law_;
+  const ContactLaw* other_law_ = nullptr;  // of the impact, if it is not Poisson's in two phases
+  std::vector<char> course_;               // of the impact by that law
   ProjectionTangent projection_;
   std::vector<ContactTangent> contacts_;
   StepTangent rest_;

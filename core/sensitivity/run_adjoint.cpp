@@ -113,7 +113,7 @@ void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) 
   lq_ += matrix_.q.transpose() * l;
   lp_ = matrix_.p.transpose() * l;
   for (int i = 0; i < impact_.points(); ++i) {
-    if (impact_.restitution(i) > 0.0) result.e[impact_.guard(i)] += matrix_.e.col(i).dot(l);
+    if (impact_.takes_restitution(i)) result.e[impact_.guard(i)] += matrix_.e.col(i).dot(l);
     result.mu[impact_.guard(i)] += matrix_.mu.col(i).dot(l);
   }
   ltime_ += matrix_.time.dot(l) - matrix_.rest.dot(l);

@@ -64,6 +64,10 @@ void RunHessian::check_impact(const Piece& piece) const {
   if (run_->map != ImpactMap::kCtec)
     refuse_this("Implicit impact maps have no second derivative that is known", "impact='ctec'",
                 run_->map == ImpactMap::kMhc ? "'mhc'" : "'dtec'");
+  const ContactLaw* law = scene_->law(impact.guard);
+  if (law != nullptr && law->e.given())
+    refuse_this("A coefficient of restitution that depends on the speed has no second derivative that is known",
+                "a number", "a function of the speed");
   if (scene_->friction(impact.guard) > 0.0)
     refuse_this("Impacts with friction have no second derivative that is known", "friction 0",
                 std::to_string(scene_->friction(impact.guard)));

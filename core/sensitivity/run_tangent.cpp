@@ -195,7 +195,7 @@ void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections&
     direction.p = columns_.p.col(k);
     direction.parameters = d.parameter(k);
     for (int i = 0; i < impact_.points(); ++i) {
-      if (d.e.size() > 0 && impact_.restitution(i) > 0.0) direction.e[i] = d.e(impact_.guard(i), k);
+      if (d.e.size() > 0 && impact_.takes_restitution(i)) direction.e[i] = d.e(impact_.guard(i), k);
       if (d.mu.size() > 0) direction.mu[i] = d.mu(impact_.guard(i), k);
     }
     direction.size_p = size_p_[k];

@@ -1,0 +1,307 @@
+"""Laws of contact of single pairs, beside the two numbers of restitution and friction.
+
+A law is given by settings that each have a default; like the two numbers, each is set for all pairs, for geometries or
+for pairs, and a pair uses its own value, else that of its sides, else the default. Pairs without any setting have no
+law, and cost nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from contactvi.elements.user_functions import called, checked
+from contactvi.errors import InputError, SceneError, UserFunctionError
+from contactvi.inputs import array, check_choice, flag, listed, real, real_numbers, short
+
+RESTITUTION_LAWS = ("poisson", "newton", "energetic")
+IMPACT_PROCESSES = ("two-phase", "incremental")
+TABLE = "a table of rows (speed in m/s, value), speeds ascending from 0 or more"
+
+
+@dataclass(frozen=True)
+class SpeedTable:
+    """A number that depends on a speed [m/s]: straight lines between places, constant beyond the ends."""
+
+    speeds: tuple[float, ...]
+    values: tuple[float, ...]
+    storable = True
+
+    def at(self, speed: float) -> float:
+        """Return the number at a speed [m/s]."""
+        return float(np.interp(speed, self.speeds, self.values))
+
+    def engine(self, name: str) -> Any:
+        """Return it as the engine takes it."""
+        return list(self.speeds), list(self.values)
+
+    def to_data(self) -> Any:
+        """Return it as plain data."""
+        return [list(self.speeds), list(self.values)]
+
+
+@dataclass(frozen=True)
+class SpeedCallable:
+    """A function of a speed [m/s]: of Python, or compiled, by the address of a C function double f(double)."""
+
+    function: Callable[[float], float]
+    low: float
+    high: float
+    storable = False
+
+    def at(self, speed: float) -> float:
+        """Return the number at a speed [m/s]."""
+        return self._value("a law of restitution", speed)
+
+    def engine(self, name: str) -> Any:
+        """Return it as the engine takes it; `name` is for the messages of what goes wrong in it."""
+        address = getattr(self.function, "address", None)
+        if isinstance(address, int):
+            return address
+
+        return lambda speed: self._value(name, speed)
+
+    def _value(self, name: str, speed: float) -> float:
+        result = float(checked(called(self.function, name, None, speed), name, None, (), "one number"))
+        if not self.low <= result <= self.high:
+            raise UserFunctionError(
+                f"{name} is outside of its range at {speed:.6g} m/s", function=name,
+                expected=f"a number in [{self.low:g}, {self.high:g}]", got=f"{result:.6g}",
+                remedy="Correct the function, or clip what it returns",
+            )  # fmt: skip
+        return result
+
+
+SpeedLaw = SpeedTable | SpeedCallable
+
+
+def speed_law(name: str, value: Any, low: float, high: float) -> SpeedLaw:
+    """Return a checked number that depends on a speed, with values in [low, high].
+
+    Args:
+        value: a table (n, 2) of speeds and values, a function of the speed, or a compiled one with an `address`
+            (numba.cfunc with the signature float64(float64)).
+
+    Raises:
+        InputError: neither, or speeds that do not ascend, or values that are outside.
+    """
+    if callable(value):
+        return SpeedCallable(value, low, high)
+    rows = real_numbers(value)
+    if rows is None or rows.ndim != 2 or rows.shape[1] != 2 or not len(rows):
+        raise InputError(
+            f"{name} is not usable", name=name, expected=f"a number, {TABLE}, or a function of the speed",
+            got=short(value), remedy=f"For example {name}=[(0, 0.8), (1, 0.5)]",
+        )  # fmt: skip
+    rows = array(name, value, rows.shape, TABLE)
+    if rows[0, 0] < 0.0 or np.any(np.diff(rows[:, 0]) <= 0.0):
+        raise InputError(
+            f"The speeds of {name} do not ascend", name=name, expected=TABLE, got=short(rows[:, 0].tolist()),
+            remedy="Sort the rows by speed, each speed once",
+        )  # fmt: skip
+    for number in rows[:, 1]:
+        real(f"a value of {name}", float(number), low, high)
+    return SpeedTable(tuple(map(float, rows[:, 0])), tuple(map(float, rows[:, 1])))
+
+
+@dataclass(frozen=True)
+class PairLaw:
+    """The law of a pair.
+
+    Attributes:
+        restitution_law: what the coefficient of restitution is the ratio of: "poisson" impulses, "newton" speeds,
+            "energetic" roots of works.
+        impact_process: "two-phase", or "incremental": an impact of one point is followed through its impulse.
+        limit_energy: whether restitution is lowered where it would make energy.
+        tangential_restitution: of the slip, where friction holds it, in [0, 1].
+        restitution_of_speed: coefficient by the closing speed, instead of the pair's number.
+    """
+
+    restitution_law: str = "poisson"
+    impact_process: str = "two-phase"
+    limit_energy: bool = True
+    tangential_restitution: float = 0.0
+    restitution_of_speed: SpeedLaw | None = None
+
+    def engine(self, pair: tuple[str, str]) -> dict[str, Any]:
+        """Return it as the arguments of the engine; `pair` names it in messages of its functions."""
+        e = self.restitution_of_speed
+        name = f"the restitution of {pair[0]!r} and {pair[1]!r}"
+        return {
+            "restitution": RESTITUTION_LAWS.index(self.restitution_law),
+            "incremental": self.impact_process == "incremental",
+            "keeps_energy": self.limit_energy,
+            "tangential": self.tangential_restitution,
+            "e": None if e is None else e.engine(name),
+        }
+
+    def varies(self, kind: str) -> bool:
+        """Whether the pair's "restitution" or "friction" depends on a speed, instead of being a number."""
+        return kind == "restitution" and self.restitution_of_speed is not None
+
+    @property
+    def followed(self) -> bool:
+        """Whether impacts of one point are followed through their impulse."""
+        return self.impact_process == "incremental" or self.restitution_law == "energetic"
+
+    def words(self) -> str:
+        """Return what is not the default as text."""
+        given = [(f.name, getattr(self, f.name)) for f in fields(self) if getattr(self, f.name) != f.default]
+        return ", ".join(f"{name.replace('_', ' ')} {short(value)}" for name, value in given)
+
+    @property
+    def storable(self) -> bool:
+        """Whether it holds no function."""
+        return all(getattr(getattr(self, f.name), "storable", True) for f in fields(self))
+
+    def to_data(self) -> dict[str, Any]:
+        """Return what is not the default as plain data; functions are left out."""
+        plain = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
+        return {
+            name: value.to_data() if isinstance(value, SpeedTable) else value
+            for name, value in plain.items()
+            if getattr(value, "storable", True)
+        }
+
+
+DEFAULTS = {f.name: f.default for f in fields(PairLaw)}
+# What a scene file says of contacts: the two numbers, the first of which may be a table, and the settings.
+CONTACT_SETTINGS = ("restitution", "friction", *(name for name in DEFAULTS if not name.endswith("_of_speed")))
+
+
+def checked_setting(name: str, value: Any) -> Any:
+    """Return a checked setting of a law; raises InputError."""
+    match name:
+        case "restitution_law":
+            check_choice(name, value, RESTITUTION_LAWS, "law of restitution")
+            return value
+        case "impact_process":
+            check_choice(name, value, IMPACT_PROCESSES, "process of an impact")
+            return value
+        case "limit_energy":
+            return flag(name, value)
+        case "tangential_restitution":
+            return real(name, value, 0.0, 1.0)
+    raise KeyError(name)
+
+
+def checked_contact(
+    restitution: Any, friction: Any, varies: bool, **settings: Any
+) -> tuple[dict[str, float], dict[str, Any]]:
+    """Return the numbers and the settings of laws that are given, checked; None: not given.
+
+    Args:
+        varies: whether some restitution depends on the speed, which a number then replaces.
+
+    Raises:
+        InputError: one of them is not usable.
+    """
+    numbers: dict[str, float] = {}
+    laws = {name: checked_setting(name, value) for name, value in settings.items() if value is not None}
+    if callable(restitution) or np.ndim(restitution) > 0:
+        laws["restitution_of_speed"] = speed_law("restitution", restitution, 0.0, 1.0)
+    elif restitution is not None:
+        numbers["restitution"] = real("restitution", restitution, 0.0, 1.0)
+        if varies:
+            laws["restitution_of_speed"] = None
+    if friction is not None:
+        numbers["friction"] = real("friction", friction, 0.0)
+    return numbers, laws
+
+
+@dataclass
+class LawRules:
+    """The settings of laws, each with a default, values of geometries and values of pairs.
+
+    Attributes:
+        default: values for all pairs, by the name of the setting.
+        single: values of geometries, by setting and name.
+        pair: values of pairs, by setting and names, the smaller name first.
+    """
+
+    default: dict[str, Any] = field(default_factory=dict)
+    single: dict[str, dict[str, Any]] = field(default_factory=dict)
+    pair: dict[str, dict[tuple[str, str], Any]] = field(default_factory=dict)
+
+    def set(self, name: str, first: Sequence[str] | None, second: Sequence[str] | None, value: Any) -> None:
+        """Set a setting for all pairs, for geometries (`first`), or between `first` and `second`."""
+        if first is None:
+            self.default[name] = value
+        elif second is None:
+            self.single.setdefault(name, {}).update(dict.fromkeys(first, value))
+        else:
+            rows = self.pair.setdefault(name, {})
+            rows.update({(min(a, b), max(a, b)): value for a in first for b in second if a != b})
+
+    def any_of(self, name: str) -> bool:
+        """Return whether a setting has been given."""
+        return name in self.default or bool(self.single.get(name)) or bool(self.pair.get(name))
+
+    def value(self, name: str, a: str, b: str) -> Any:
+        """Return a setting of a pair; of two numbers of its sides the smaller one.
+
+        Raises:
+            SceneError: its sides have different words or functions.
+        """
+        own = self.pair.get(name, {}).get((min(a, b), max(a, b)), self)
+        if own is not self:
+            return own
+        single = self.single.get(name, {})
+        sides = [single[side] for side in (a, b) if side in single]
+        if not sides:
+            return self.default.get(name, DEFAULTS[name])
+        if all(side == sides[0] for side in sides):
+            return sides[0]
+        if all(isinstance(side, float) for side in sides):
+            return min(sides)
+        raise SceneError(
+            f"The two sides of a contact have different values of {name}",
+            expected="one value for the pair",
+            got=f"{short(sides[0])} of {a!r}, {short(sides[1])} of {b!r}",
+            remedy=f"Set it for the pair: scene.set_contact({a!r}, {b!r}, {name.removesuffix('_of_speed')}=...)",
+        )
+
+    def laws(self, names: Sequence[tuple[str, str]]) -> list[tuple[PairLaw, list[int]]]:
+        """Return the laws of pairs of names that have one, each with the places of its pairs."""
+        given = [name for name in DEFAULTS if self.any_of(name)]
+        if not given:
+            return []
+        found: dict[PairLaw, list[int]] = {}
+        plain = PairLaw()
+        for k, (a, b) in enumerate(names):
+            law = PairLaw(**{name: self.value(name, a, b) for name in given})
+            if law.tangential_restitution > 0.0 and law.followed:
+                raise SceneError(
+                    f"The impact of {a!r} and {b!r} is followed, and has no tangential restitution",
+                    expected="impact_process='two-phase', restitution_law='poisson' or 'newton'",
+                    got=f"{law.impact_process!r}, {law.restitution_law!r}",
+                    remedy=f"scene.set_contact({a!r}, {b!r}, tangential_restitution=0), or the other process and law",
+                )
+            if law != plain:
+                found.setdefault(law, []).append(k)
+        return list(found.items())
+
+
+def laws_to_data(laws: Sequence[tuple[PairLaw, Sequence[int]]], names: Sequence[tuple[str, str]]) -> list[Any]:
+    """Return laws as plain data: each with the names of its pairs."""
+    return [{"pairs": [list(names[k]) for k in places], **law.to_data()} for law, places in laws]
+
+
+def laws_from_data(rows: Sequence[Mapping[str, Any]]) -> LawRules:
+    """Return the rules of stored laws."""
+    rules = LawRules()
+    for row in rows:
+        pairs = [tuple(pair) for pair in listed("pairs", row["pairs"], "pairs of names")]
+        for name, value in row.items():
+            if name == "pairs":
+                continue
+            if name.endswith("_of_speed"):
+                value = SpeedTable(*(tuple(map(float, numbers)) for numbers in value))
+            else:
+                value = checked_setting(name, value)
+            for a, b in pairs:
+                rules.set(name, [a], [b], value)
+    return rules
