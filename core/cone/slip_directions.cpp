@@ -13,6 +13,7 @@ const SlipDirections::Samples& SlipDirections::samples() {
       const double angle = kTwoPi * i / kSamples;
       u[static_cast<std::size_t>(i)] = Vec2(std::cos(angle), std::sin(angle));
     }
+    u.back() = u.front();  // to the last bit: a root may lie there
     return u;
   }();
   return circle;

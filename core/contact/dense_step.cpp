@@ -407,6 +407,8 @@ void DenseStep::expand(double bound_energy) {
     DenseContact& c = candidates_.contacts()[active_[i]];
     BlockContact& block = problem.contacts[i];
     const double compression = c.position[0] + lambda_end_[block.row];
+    const ContactLaw* law = scene_->law(c.point.guard);
+    if (law != nullptr && law->e.given()) c.restitution = std::max(0.0, law->e(std::max(0.0, -c.closing)));
     c.expands = c.restitution > 0.0 && c.closing < -fast && compression > 0.0;
     if (c.expands) block.lower = c.restitution * compression;
     any |= c.expands;

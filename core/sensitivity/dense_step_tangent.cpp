@@ -260,6 +260,13 @@ void DenseStepTangent::take_end() {
 // Restitution depends on the normal impulses themselves, also where the motion before it does not.
 void DenseStepTangent::check_expansion() {
   const DenseStepRecord& s = *record_;
+  for (const DenseStepRecord::Contact& c : s.contacts) {
+    const ContactLaw* law = scene_->law(c.point.guard);
+    if (c.expands && law != nullptr && law->e.given())
+      refuse("restitution", c.point.guard, "Restitution depends on the closing speed in a dense step",
+             "a coefficient that is a number", "a function of the speed",
+             "Use contact_mode='events', or a number as restitution");
+  }
   const Round& last = rounds_[s.rounds.size() - 1];
   const double all = MinvW_.cwiseAbs().maxCoeff();
   const auto check = [&](const VecX& lambda, bool at_end) {
