@@ -3,12 +3,14 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <tuple>
 #include <utility>
 #include <variant>
 #include <vector>
@@ -82,7 +84,7 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
       "follow_impact",
       [](const Mat3& G, const Vec3& w, double mu, double e, int law) {
         const IncrementalImpact impact = follow_impact(G, w, mu, e, static_cast<RestitutionLaw>(law));
-        return nb::make_tuple(impact.ok, impact.lambda, impact.compression);
+        return std::tuple<bool, Vec3, Vec3>(impact.ok, impact.lambda, impact.compression);
       },
       "G"_a, "w"_a, "mu"_a, "e"_a, "law"_a,
       "Impulse (n, t1, t2) of one point by the incremental law, and that until the end of the compression: (ok, (3,), "

@@ -178,7 +178,7 @@ class Impact {
     expands_ = true;
     return e_ == 0.0;
   }
-  // With a constant direction of the impulse until the normal impulse has grown by `most`: true if that ends the impact.
+  // Along one direction of the impulse until the normal impulse has grown by `most`: true if that ends the impact.
   bool go_straight(const Vec3& direction, double most) {
     const Vec3 rate = G_ * direction;
     for (;;) {

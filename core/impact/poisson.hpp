@@ -9,8 +9,8 @@
 //
 // A pair may have another law (model/contact_law.hpp):
 //   Newton       one problem with gamma+_n + e gamma-_n >= 0 in the place of gamma+_n;
-//   energetic    the expansion's least impulses are k Lambda_1n, with k so that normal impulses give back e^2 of the work
-//                that they took in the compression;
+//   energetic    the least impulses of the expansion are k Lambda_1n, with the k by which normal impulses give back e^2
+//                of the work that they took in the compression;
 //   tangential   where friction holds, gamma+_t = -e_t gamma-_t: the expansion is then a problem for both impulses,
 //                Lambda_n >= (1 + e) Lambda_1n, with gamma+_t + e_t gamma-_t in the place of gamma+_t.
 // One point with the incremental or the energetic law is followed through its impact (incremental_impact.hpp).
