@@ -14,6 +14,7 @@ from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.element import Element
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
+from contactvi.scene.compliance import compliance_rows
 from contactvi.scene.element_rows import Resolved, resolve
 from contactvi.scene.engine import EngineScene, make_engine_scene
 from contactvi.scene.joint_arrays import JointArrays, apply_settings
@@ -150,8 +151,12 @@ def build(
     index = parts.names.geometries
     disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (contact.disabled, contact.enabled))
     tested = {(min(index[a], index[b]), max(index[a], index[b])) for a, b in apart}
-    chosen, removed, overlaps = choose_pairs(assembly, parts.parts, disabled, enabled, tested)
     names = list(index)
+    soft = contact.compliance.mask(names)
+    chosen, removed, overlaps, compliant = choose_pairs(assembly, parts.parts, disabled, enabled, tested, soft)
+    resolved = resolve(elements, model, start)
+    mu = contact.friction.values(names, compliant)
+    resolved.compliances = compliance_rows(contact.compliance, names, compliant, mu)
     return Built(
         model,
         collision,
@@ -163,6 +168,6 @@ def build(
         contact.restitution.values(names, chosen),
         contact.friction.values(names, chosen),
         np.array([rule.values(names, overlaps.numbers) for rule in (contact.restitution, contact.friction)]),
-        resolve(elements, model, start),
+        resolved,
         parts.names,
     )

@@ -39,6 +39,8 @@ def scene_report(parts: Sequence[Part], built: Built, table: JointTable, element
     if built.pairs:
         text = f"restitution {_range(built.restitution)}, Coulomb friction {_range(built.friction)}"
         report.notes.append(Note("used", "pairs", f"{len(built.pairs)}", text))
+    for row in built.elements.compliances:
+        report.notes.append(Note("used", "compliance", " and ".join(row.names), row.law.describe()))
     try:
         rounding = list(built.engine.rounding)
     except SceneError as error:

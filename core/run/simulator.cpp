@@ -23,6 +23,7 @@ bool dissipates(const Tree& tree) {
   const Elements& e = tree.elements;
   bool any = tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) any |= spring.damping > 0.0;
+  for (const CompliantContact& c : e.compliances) any |= c.law.damping > 0.0 || c.law.friction > 0.0;
   return any;
 }
 
@@ -362,14 +363,19 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   StepControl& control = state_.control;
   const double at = interval.start + interval.done;
   const double longest = control.longest_free();
-  const bool halves = longest < interval.remaining * (1.0 - 1e-9);
+  bool halves = longest < interval.remaining * (1.0 - 1e-9);
   double h = halves ? longest : interval.remaining;
   const bool holds = has_phase();
   const bool touches = !contact_step_.contacts().empty();
   const bool last_try = !holds && (truncation_.bound > 0.0 || h < StepControl::kShortest * options_.dt ||
                                    control.halved - halved >= kMostHalvings);
   integrator_.set_time(at);
-  if (!branches_.none() && !begin_branches(interval)) return false;
+  if (!branches_.none()) {
+    if (!begin_branches(interval)) return false;
+    const double limit = branches_.limit(h, interval.length, state_.q, v_);
+    halves |= limit < h;
+    h = limit;
+  }
   if (holds) {
     if (!integrator_.node_velocity(state_.q, state_.p, v_) ||
         !modes_.begin_step(state_.q, v_, at, interval.tau, recording))

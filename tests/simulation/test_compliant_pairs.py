@@ -1,0 +1,241 @@
+"""Compliant pairs: forces by the depth of an overlap, beside rigid contact, against closed forms and DOP853."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import beta
+
+import contactvi as cvi
+from helpers.compliant_scenes import MASS, RADIUS, ball, table
+from oracles.compliance import Drop, restitution
+
+# Steps of 0.9 s for each order, in which the ball touches twice.
+STEPS = {2: (2000, 4000, 8000), 4: (1000, 2000, 4000), 8: (100, 200, 400)}
+LAWS = {
+    "linear": {"stiffness": 1000.0},
+    "hertz": {"stiffness": 1e5, "exponent": 1.5},
+    "quadratic": {"stiffness": 1e5, "exponent": 2.0},
+    "damped": {"stiffness": 1000.0, "damping": 0.3},
+    "damped hertz": {"stiffness": 1e5, "exponent": 1.5, "damping": 0.3},
+}
+DURATION, HEIGHT = 0.9, 0.1
+ORACLE = 1e-11
+TOLD = {2: 2e-4, 4: 1e-6, 8: 1e-9}
+
+
+def drop(law: dict[str, float]) -> Drop:
+    return Drop(MASS, law["stiffness"], law.get("exponent", 1.0), law.get("damping", 0.0))
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("order", STEPS)
+def test_a_ball_that_drops_keeps_the_order(name, order):
+    """Two bounces: the height of the ball after them, its speed, and where it touches and leaves.
+
+    Where in their steps the openings lie changes with the number of steps: that may take .5 of the order.
+    """
+    law = LAWS[name]
+    oracle = drop(law)
+    z, v = oracle.at(HEIGHT, 0.0, DURATION)
+    scene = ball(HEIGHT, **law)
+    errors = []
+    for steps in STEPS[order]:
+        traj = cvi.simulate(scene, None, None, DURATION, dt=DURATION / steps, order=order)
+        assert traj.stats.switches == len(oracle.touches) == 4
+        assert len(traj.events) == 0
+        errors.append(max(abs(traj.q[-1, 2] - RADIUS - z), abs(traj.v[-1, 2] - v)))
+    assert errors[-1] <= TOLD[order]
+    for n, error in zip(STEPS[order][1:], errors[1:], strict=True):
+        assert error <= max(ORACLE, errors[0] * (STEPS[order][0] / n) ** (order - 0.5))
+
+
+@pytest.mark.parametrize("order", [2, 4, 8, 16])
+def test_the_deepest_overlap_and_the_time_of_a_linear_contact(order):
+    """Without gravity: half a period of the spring, v / omega deep."""
+    k, v = 1000.0, 0.7
+    omega = np.sqrt(k / MASS)
+    scene = ball(0.07, gravity=0.0, stiffness=k)
+    traj = cvi.simulate(scene, None, scene.velocity({"ball": (0.0, 0.0, -v)}), 0.25, dt=1e-4, order=order)
+    found = traj.compliant_contacts()
+    assert found.depth.max() == pytest.approx(v / omega, rel=1e-5)  # nodes are at most half a step from it
+    exact = (0.25 - 0.1 - np.pi / omega) * v  # after the contact it flies at its speed
+    assert traj.q[-1, 2] - RADIUS == pytest.approx(exact, rel={2: 2e-4, 4: 1e-7}.get(order, 1e-10))
+    assert traj.v[-1, 2] == pytest.approx(v, rel=1e-11)
+    assert np.all(found.normal_force > 0.0)
+    assert found.normal_force == pytest.approx(k * found.depth, rel=1e-12)
+    assert found.pairs == (("ball", "ground"),) or found.pairs == (("ground", "ball"),)
+
+
+def test_hertz_contact_of_two_balls_has_its_time_and_its_depth():
+    """Two free balls, one at rest: with the reduced mass m, D = (5 m v^2 / (4 k))^(2/5) and T = .8 B(2/5, 1/2) D / v."""
+    k, v, m = 1e6, 0.4, MASS * 0.3 / (MASS + 0.3)
+    scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
+    scene.add_sphere("one", 0.05, MASS, placement=(-0.06, 0.0, 0.0))
+    scene.add_sphere("two", 0.03, 0.3, placement=(0.03, 0.0, 0.0))
+    scene.set_compliance("one", "two", stiffness=k, exponent=1.5)
+    deepest = (5.0 * m * v**2 / (4.0 * k)) ** 0.4
+    time = 0.8 * beta(0.4, 0.5) * deepest / v
+    speed = scene.velocity({"one": (v, 0.0, 0.0)})
+    traj = cvi.simulate(scene, None, speed, 0.05, dt=time / 40, order=8)
+    found = traj.compliant_contacts()
+    assert found.depth.max() == pytest.approx(deepest, rel=2e-3)
+    one, two = v * (MASS - 0.3) / (MASS + 0.3), 2.0 * MASS / (MASS + 0.3) * v
+    assert traj.v[-1, [0, 6]] == pytest.approx([one, two], rel=1e-9)
+    # The gap was 0.01 m: together they have moved by its closing, the contact and the flights after it.
+    after = 0.05 - 0.01 / v - time
+    assert traj.q[-1, 7] - traj.q[-1, 0] - 0.08 == pytest.approx((two - one) * after, abs=1e-9)
+    momentum = MASS * traj.v[:, 0] + 0.3 * traj.v[:, 6]
+    assert np.ptp(momentum) <= 1e-12
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@pytest.mark.parametrize(("c", "v"), [(0.2, 0.5), (1.0, 1.0)])
+def test_the_restitution_of_hunt_and_crossley(exponent, c, v):
+    scene = ball(0.01, gravity=0.0, stiffness=2000.0, exponent=exponent, damping=c)
+    traj = cvi.simulate(scene, None, scene.velocity({"ball": (0.0, 0.0, -v)}), 1.0, dt=1e-3, order=8)
+    assert traj.stats.switches == 2
+    assert traj.v[-1, 2] == pytest.approx(restitution(c, v) * v, rel=1e-8)
+    assert np.abs(traj.ledger.energy_balance).max() <= 1e-8
+
+
+def test_a_table_rests_on_four_feet():
+    """Its weight is the sum of the forces of the feet, each of which is m g / (4 k) deep."""
+    mass, k = 2.0, 5e4
+    scene = table(mass, stiffness=k, damping=20.0)
+    traj = cvi.simulate(scene, None, None, 3.0, dt=1e-3, order=4)
+    found = traj.compliant_contacts()
+    last = found.node == found.node.max()
+    assert last.sum() == 4
+    assert found.normal_force[last].sum() == pytest.approx(mass * 9.81, rel=1e-6)
+    start = table(mass, stiffness=k)
+    q = start.q0.copy()
+    q[2] -= mass * 9.81 / (4.0 * k)
+    still = cvi.simulate(start, q, None, 1.0, dt=1e-3, order=4)
+    assert np.abs(still.q - q).max() <= 1e-12
+
+
+def test_a_table_slides_and_stops():
+    """With speeds far above the slip speed it is braked by mu g, but for the sway of the feet."""
+    mass, k, mu, v = 2.0, 1e6, 0.4, 1.0
+    scene = table(mass, stiffness=k, damping=5.0, friction=mu, slip_speed=1e-4)
+    q = scene.q0.copy()
+    q[2] -= mass * 9.81 / (4.0 * k)
+    traj = cvi.simulate(scene, q, scene.velocity({"table": (v, 0.0, 0.0)}), 0.6, dt=5e-4, order=4)
+    distance = v**2 / (2.0 * mu * 9.81)
+    assert traj.q[-1, 0] == pytest.approx(distance, rel=2e-3)
+    assert abs(traj.v[-1, 0]) <= 1e-6
+    assert np.abs(traj.ledger.energy_balance).max() <= 1e-4 * 0.5 * mass * v**2
+    assert traj.work.damping[-1] == pytest.approx(0.5 * mass * v**2, rel=1e-3)
+    found = traj.compliant_contacts()
+    tangential = np.linalg.norm(found.force[:, :2], axis=1)
+    assert np.all(tangential <= mu * found.normal_force * (1.0 + 1e-12))
+
+
+def test_a_hundred_bounces_keep_the_energy_to_rounding():
+    scene = ball(0.05, stiffness=2000.0)
+    traj = cvi.simulate(scene, None, None, 32.0, dt=2e-3, order=8)
+    assert traj.stats.switches >= 200
+    assert np.ptp(traj.energy) <= 1e-11 * traj.energy[0]
+
+
+@pytest.mark.parametrize("order", [2, 4, 8])
+def test_a_very_stiff_pair_bounces_as_a_rigid_one(order):
+    """1e8 N/m at a step of 1 ms, which is three times the duration of the contact: it goes on in steps of that length."""
+    scene = ball(0.1, stiffness=1e8)
+    traj = cvi.simulate(scene, None, None, 1.0, dt=1e-3, order=order)
+    assert traj.stats.halved_steps <= 20
+    assert traj.energy == pytest.approx(traj.energy[0], rel=1e-9)
+    rigid = cvi.Scene()
+    rigid.add_halfspace()
+    rigid.add_sphere("ball", RADIUS, MASS, placement=(0.0, 0.0, RADIUS + 0.1))
+    rigid.set_contact(restitution=1.0)
+    other = cvi.simulate(rigid, None, None, 1.0, dt=1e-3, order=order)
+    assert np.abs(traj.q[:, 2] - other.q[:, 2]).max() <= 2e-2
+
+
+def test_it_converges_to_the_rigid_bounce():
+    """The delay of each bounce is the duration of the contact, pi sqrt(m / k)."""
+    rigid = cvi.Scene()
+    rigid.add_halfspace()
+    rigid.add_sphere("ball", RADIUS, MASS, placement=(0.0, 0.0, RADIUS + 0.1))
+    rigid.set_contact(restitution=1.0)
+    end = cvi.simulate(rigid, None, None, 0.4, dt=1e-3, order=8).q[-1, 2]
+    errors = []
+    for k in (1e4, 1e6, 1e8):
+        dt = min(1e-3, 0.2 * np.sqrt(MASS / k))
+        errors.append(abs(cvi.simulate(ball(0.1, stiffness=k), None, None, 0.4, dt=dt, order=8).q[-1, 2] - end))
+    assert errors[1] <= 0.15 * errors[0]
+    assert errors[2] <= 0.15 * errors[1]
+    assert errors[2] <= 1e-3
+
+
+def test_beside_rigid_contact():
+    """Of two balls on one ground the soft one bounces by its law and the rigid one by its restitution."""
+    scene = ball(0.1, stiffness=1000.0)
+    scene.add_sphere("other", RADIUS, MASS, placement=(1.0, 0.0, RADIUS + 0.1))
+    scene.set_contact(restitution=0.5)
+    traj = cvi.simulate(scene, None, None, DURATION, dt=1e-3, order=8)
+    z, _ = drop({"stiffness": 1000.0}).at(HEIGHT, 0.0, DURATION)
+    assert traj.q[-1, 2] - RADIUS == pytest.approx(z, abs=1e-8)
+    assert len(traj.events) > 0
+    assert {tuple(sorted(pair)) for pair in scene.pair_names} == {("ball", "other"), ("ground", "other")}
+    assert [tuple(sorted(pair)) for pair in scene.compliant_pairs] == [("ball", "ground")]
+
+
+@pytest.mark.parametrize("law", [LAWS["linear"], LAWS["damped hertz"] | {"friction": 0.3}])
+def test_a_stored_scene_has_the_same_bits(tmp_path, law):
+    scene = ball(0.1, **law)
+    v = scene.velocity({"ball": ((0.3, 0.0, 0.0), (0.0, 2.0, 0.0))})
+    traj = cvi.simulate(scene, None, v, 0.4, dt=1e-3, order=4)
+    again = cvi.simulate(cvi.Scene.from_dict(scene.to_dict()), None, v, 0.4, dt=1e-3, order=4)
+    assert np.array_equal(traj.q, again.q)
+    assert np.array_equal(traj.p, again.p)
+    traj.save(tmp_path / "run.npz")
+    loaded = cvi.load(tmp_path / "run.npz")
+    assert loaded.scene.compliant_pairs == scene.compliant_pairs
+    assert np.array_equal(loaded.compliant_contacts().force, traj.compliant_contacts().force)
+    assert any(note.topic == "compliance" for note in scene.report.notes)
+
+
+def test_auto_steps():
+    law = LAWS["hertz"]
+    z, _ = drop(law).at(HEIGHT, 0.0, DURATION)
+    traj = cvi.simulate(ball(HEIGHT, **law), None, None, DURATION, dt="auto", accuracy=1e-8)
+    assert traj.q[-1, 2] - RADIUS == pytest.approx(z, abs=1e-8)
+
+
+def scenes_with_derivatives():
+    rolling = {"stiffness": 5e3, "exponent": 1.5, "damping": 0.3, "friction": 0.4, "slip_speed": 0.05}
+    yield "ball", ball(0.02, **rolling), {"ball": ((0.3, 0.1, -0.2), (0.5, 2.0, -1.0))}
+    yield (
+        "table",
+        table(stiffness=2e4, damping=0.5, friction=0.3, slip_speed=0.05),
+        {"table": ((0.2, 0.1, -0.3), (0.6, -0.4, 0.5))},
+    )
+    two = cvi.Scene()
+    two.add_box("floor", (1.0, 1.0, 0.1), free=False, placement=(0.0, 0.0, -0.05))
+    two.add_capsule("rod", 0.03, 0.2, 0.5, placement=((0.0, 0.0, 0.035), (0.0, np.pi / 2, 0.0)))
+    two.add_sphere("ball", 0.04, 0.3, placement=(0.02, 0.01, 0.12))
+    two.disable_pair("floor", "rod")
+    two.set_compliance("ball", stiffness=4e3, damping=0.2, friction=0.3, slip_speed=0.05)
+    yield "two", two, {"ball": ((0.1, 0.0, -1.0), (0.0, 1.0, 0.0))}
+
+
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize(
+    ("name", "scene", "speeds"), list(scenes_with_derivatives()), ids=lambda x: x if isinstance(x, str) else ""
+)
+def test_derivatives_are_those_of_differences(name, scene, speeds, order):
+    q = scene.neutral() if scene.q0 is None else scene.q0
+    v = scene.velocity(speeds, q)
+    options = {"dt": 1e-3, "order": order, "record": "gradient"}
+    traj = cvi.simulate(scene, q, v, 0.12, **options)
+    assert traj.stats.switches >= 1
+    w = np.linspace(0.5, 1.5, scene.nv)
+
+    def cost(run):
+        return float(w @ run.p[-1])
+
+    found = cvi.gradient(traj, lambda q, v: 0.0)
+    assert found is not None
