@@ -246,6 +246,20 @@ std::pair<Array2, Array2> compliant_contacts(const Scene& s, const Rows& q, cons
   return {hand_over(std::move(numbers)), hand_over(std::move(values))};
 }
 
+// Number of the pair and gap of all compliant contacts, (m, 2).
+Array2 compliant_gaps(const Scene& s, const VecX& q) {
+  need(q.size() == s.tree.nq, "expected shape (nq,)");
+  const std::vector<CompliantContact>& contacts = s.tree.elements.compliances;
+  Placements at(s.tree);
+  place(s.tree, q, at);
+  Rows found(static_cast<Eigen::Index>(contacts.size()), 2);
+  for (std::size_t k = 0; k < contacts.size(); ++k) {
+    found(static_cast<Eigen::Index>(k), 0) = contacts[k].pair;
+    found(static_cast<Eigen::Index>(k), 1) = touch_of(contacts[k], at).gap;
+  }
+  return hand_over(std::move(found));
+}
+
 void add_wrench(Scene& s, int joint, const Vec3& point, const std::optional<Mat3>& R,
                 const std::variant<Vec6, WrenchOfTime>& wrench) {
   AppliedWrench w{frame(s.tree, joint, R, point), !R, Vec6::Zero(), {}};
@@ -437,6 +451,7 @@ void expose_elements(nb::class_<Scene>& scene) {
       .def(
           "compliant_contacts", &compliant_contacts, "q"_a, "v"_a,
           "The compliant contacts that overlap at states: (state, pair) (m, 2), (depth, normal, point, force) (m, 10).")
+      .def("compliant_gaps", &compliant_gaps, "q"_a, "(pair, gap) of all compliant contacts, (m, 2).")
       .def("add_wrench", &add_wrench, "joint"_a, "point"_a, "R"_a.none(), "wrench"_a,
            "(force, torque) (6,) or a function of t, in the axes R of the joint's frame; without R in those of the "
            "world.")

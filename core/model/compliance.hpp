@@ -50,6 +50,11 @@ TouchPose<double> touch_pose(const Placements& at, int body);
 // Where the bodies of a contact are placed.
 Touch<double> touch_of(const CompliantContact& contact, const Placements& at);
 
+// The sizes of the terms of a gap [m], whose rounding is 1e-16 of them.
+double touch_size(const CompliantContact& contact, const Touch<double>& touch);
+// d elastic / d depth [N/m].
+double compliance_slope(const ComplianceLaw& law, double gap);
+
 // A contact at a state.
 struct Press {
   Touch<double> touch;

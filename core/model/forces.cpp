@@ -139,7 +139,10 @@ void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
     row_ =
         now.acts.normal * rows_.col(0) + now.acts.force.dot(t1) * rows_.col(1) + now.acts.force.dot(t2) * rows_.col(2);
     f += row_;
-    size += row_.cwiseAbs();
+    // The depth is a difference of places, which a stiff law magnifies with their rounding.
+    const CompliantContact& c = tree_->elements.compliances[k];
+    size += row_.cwiseAbs() +
+            compliance_slope(c.law, now.touch.gap) * touch_size(c, now.touch) * rows_.col(0).cwiseAbs();
   }
 }
 
@@ -152,8 +155,7 @@ int ForceField::compliant_terms(const VecCRef& v, double damping, double stiffne
     const ComplianceLaw& law = tree_->elements.compliances[k].law;
     if (!press(k, v, now) || now.acts.normal == 0.0) continue;
     const Vec3 n = now.touch.normal, t1 = any_orthogonal(n), t2 = n.cross(t1);
-    const double depth = -now.touch.gap, along = n.dot(now.velocity), e = law.exponent;
-    const double slope = law.stiffness * (e == 1.0 ? 1.0 : e * std::pow(std::abs(depth), e - 1.0));
+    const double along = n.dot(now.velocity), slope = compliance_slope(law, now.touch.gap);
     const double normal = damping * std::max(0.0, law.damping * now.acts.elastic) +
                           stiffness * std::max(0.0, slope * (1.0 - law.damping * along));
     const bool rubs = law.friction > 0.0;
@@ -202,8 +204,7 @@ void ForceField::slackness(const std::vector<int>& laws, const VecCRef& q, const
 // A contact opens where the shapes come apart, or where its damper pulls as much as its spring pushes.
 Slackness ForceField::openness(const CompliantContact& c, const VecCRef& v) {
   const Touch<double> touch = touch_of(c, at_);
-  double size = touch.point.norm() + std::abs(touch.gap) + c.shapes->a.bound;
-  if (std::isfinite(c.shapes->b.bound)) size += c.shapes->b.bound;
+  const double size = touch_size(c, touch);
   double value = -touch.gap;
   if (c.law.damping > 0.0) {
     row_.setZero();

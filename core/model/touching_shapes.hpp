@@ -1,9 +1,9 @@
 // The gap of the two shapes of a compliant contact, with its normal and the point at which they press on each other.
 //
 // Each side is a core that is swept by a sphere. The cores have features: points, lines, planes, rims and ellipsoids.
-// Which two of them are nearest is found with plain numbers (nearest_touch), and their gap is a closed form in the poses
-// of the bodies (touch), written for any scalar, so that dual numbers give its derivatives. The gap is negative where
-// the shapes overlap, also by more than the radii of the spheres.
+// Which two of them are nearest is found with plain numbers (nearest_touch), and their gap is a closed form in the
+// poses of the bodies (touch), written for any scalar, so that dual numbers give its derivatives. The gap is negative
+// where the shapes overlap, also by more than the radii of the spheres.
 #pragma once
 
 #include <array>

@@ -90,6 +90,16 @@ void Branches::begin_step(const VecX& q0, const VecX& v0, bool keep) {
   }
 }
 
+bool Branches::presses_nonlinearly() const {
+  const auto& contacts = tree_->elements.compliances;
+  for (std::size_t k = 0; k < contacts.size(); ++k) {
+    const ComplianceLaw& law = contacts[k].law;
+    const bool linear = law.exponent == 1.0 && law.damping == 0.0;
+    if (!linear && pulls_[tree_->elements.path_springs.size() + k] != 0) return true;
+  }
+  return false;
+}
+
 // Of a contact with the speed w, the mass m along its normal and the depth d, E = m w^2/2 + k d^(n+1)/(n+1) tells how
 // deep and how fast it comes, D and W, and so its time T = D / W; from its opening it is t = d / |w|.
 double Branches::limit(double h, double nominal, const VecX& q, const VecX& v) {

@@ -33,6 +33,8 @@ class Branches final : public SwitchFunctions {
   // The length of the step that begins there, at most h: shorter near the opening of a compliant contact whose force
   // grows with a broken power of its depth, which no polynomial follows [s]. A nominal length by a power of two.
   double limit(double h, double nominal, const VecX& q, const VecX& v);
+  // Whether a compliant contact presses in the step whose law no method keeps the energy of: it is not linear.
+  bool presses_nonlinearly() const;
   // It begins at a time and has this length [s].
   void take_step(double t, double h) {
     t0_ = t;

@@ -26,7 +26,7 @@ def table(mass: float = 2.0, foot: float = 0.03, **law: Any) -> cvi.Scene:
     """A free body of 0.4 x 0.3 x 0.1 m with a ball under each corner, their lowest points at z = 0, on the ground."""
     model, shapes = pin.Model(), pin.GeometryModel()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "table")
-    model.addBodyFrame("table", joint, pin.SE3.Identity(), -1)
+    model.addBodyFrame("table", joint, pin.SE3.Identity(), 0)
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(mass, 0.4, 0.3, 0.1), pin.SE3.Identity())
     for k, (x, y) in enumerate(((-0.2, -0.15), (0.2, -0.15), (0.2, 0.15), (-0.2, 0.15))):
         place = pin.SE3(np.eye(3), np.array([x, y, -0.05]))
