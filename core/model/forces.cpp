@@ -30,6 +30,9 @@ struct Polynomial {
   }
 };
 
+// Of the force by the whole of the places from which a depth comes. With the tolerance of the stage equations, 1e-12 of
+// a force's size, that is ten times the rounding.
+constexpr double kOfPlaces = 1e-3;
 constexpr int kCompliantColumns = 3;  // of the Newton terms of a contact
 
 // Some unit vector orthogonal to n.
@@ -139,10 +142,10 @@ void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
     row_ =
         now.acts.normal * rows_.col(0) + now.acts.force.dot(t1) * rows_.col(1) + now.acts.force.dot(t2) * rows_.col(2);
     f += row_;
-    // The depth is a difference of places, which a stiff law magnifies with their rounding.
+    // The depth is a difference of places, whose rounding a stiff law magnifies: iterations come no nearer.
     const CompliantContact& c = tree_->elements.compliances[k];
     size += row_.cwiseAbs() +
-            compliance_slope(c.law, now.touch.gap) * touch_size(c, now.touch) * rows_.col(0).cwiseAbs();
+            kOfPlaces * compliance_slope(c.law, now.touch.gap) * touch_size(c, now.touch) * rows_.col(0).cwiseAbs();
   }
 }
 

@@ -62,7 +62,7 @@ class Drop:
         opens.terminal = True  # type: ignore[attr-defined]
         found = solve_ivp(
             rate, (t, duration), [0.0, v], "DOP853", events=[opens, turns], rtol=TOLERANCE, atol=1e-18,
-            max_step=0.02 * self.time(abs(v)),
+            max_step=0.004 * self.time(abs(v)),
         )  # fmt: skip
         self.deepest = max(self.deepest, *(-x[0] for x in found.y_events[1]), 0.0)
         return float(found.t[-1]), 0.0 if found.status == 1 else float(found.y[0, -1]), float(found.y[1, -1])
