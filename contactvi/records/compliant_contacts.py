@@ -40,7 +40,7 @@ class CompliantContacts:
     @property
     def normal_force(self) -> Array:
         """The force along the normal, >= 0 [N], shape (m,)."""
-        return np.einsum("ij,ij->i", self.force, self.normal)
+        return np.asarray(np.einsum("ij,ij->i", self.force, self.normal), dtype=float)
 
     def of(self, a: str, b: str) -> CompliantContacts:
         """Return the rows of one pair, by the names of its shapes in any order."""

@@ -104,7 +104,7 @@ class ComplianceRule:
         for (a, b), law in self.pair.items():
             if a in index and b in index:
                 found[index[a], index[b]] = found[index[b], index[a]] = law is not None
-        return np.triu(found, 1)
+        return np.asarray(np.triu(found, 1))
 
 
 def compliance_rows(

@@ -88,10 +88,10 @@ def _add_elements(scene: EngineScene, elements: Resolved) -> None:
     """Hand springs, compliant pairs, wrenches, functions of the user and constraints to the engine's scene."""
     from contactvi import _core
 
-    for k, row in enumerate(elements.compliances):
-        law = row.law
+    for k, soft in enumerate(elements.compliances):
+        law = soft.law
         numbers = (law.stiffness, law.exponent, law.damping, law.friction or 0.0, law.slip_speed)
-        scene.add_compliance(k, row.a, row.b, *row.names, *numbers)
+        scene.add_compliance(k, soft.a, soft.b, *soft.names, *numbers)
     for spring in elements.springs:
         scene.add_path_spring(*spring)
     for wrench in elements.wrenches:

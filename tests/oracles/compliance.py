@@ -19,7 +19,7 @@ TOLERANCE = 1e-13
 
 @dataclass
 class Drop:
-    """mass [kg], k [N/m^n], n, c [s/m], gravity [m/s^2]; touches: times at which the ball comes to the plane or leaves."""
+    """mass [kg], k [N/m^n], n, c [s/m], gravity [m/s^2]; touches: when the ball comes to the plane or leaves it [s]."""
 
     mass: float
     k: float

@@ -8,6 +8,7 @@ import pytest
 from scipy.special import beta
 
 import contactvi as cvi
+from contactvi.scene.engine import static_trees
 from helpers.compliant_scenes import MASS, RADIUS, ball, table
 from oracles.compliance import Drop, restitution
 
@@ -252,3 +253,142 @@ def test_derivatives_are_those_of_differences(name, order):
             ends = [run(*((none,) * place), s * direction, *((none,) * (1 - place))).v[-1] for s in (1, -1, 2, -2)]
             change = 8.0 * (ends[0] - ends[1]) - (ends[2] - ends[3])
             assert found[key][k] == pytest.approx(weights @ change / (12.0 * step), abs=close)
+
+
+def test_derivatives_through_many_switches_are_not_refused_and_second_ones_are():
+    scene, speeds = CASES["ball"]
+    traj = cvi.simulate(scene, None, scene.velocity(speeds), 0.3, dt=1e-3, order=4, record="gradient")
+    _, found = cvi.gradient(traj, (np.zeros(6), np.ones(6)), ("q0", "v0", "mass:ball", "gravity"))
+    assert all(np.isfinite(values).all() for values in found.values())
+    arguments = traj, lambda t, q, v: (0.0, np.zeros(6), np.ones(6)), {"v0": np.ones(6)}
+    options = {"hessp": lambda *_: (np.zeros((301, 6)),) * 2}
+    with pytest.raises(cvi.NotDifferentiable, match="compliant pair"):
+        cvi.hessian_vector(*arguments, method="exact", **options)
+    assert cvi.hessian_vector(*arguments, method="gauss-newton", **options).approximate is not None
+
+
+def test_islands_have_the_bits_of_what_they_are_alone():
+    def balls(places: list[float]) -> cvi.Scene:
+        scene = cvi.Scene()
+        scene.add_halfspace()
+        for x in places:
+            scene.add_sphere(f"at{x:g}", 0.05, 0.5, placement=(x, 0.0, 0.06 + 0.03 * x))
+        scene.set_compliance("ground", stiffness=2e4, damping=0.2, friction=0.3)
+        return scene
+
+    def run(places: list[float]) -> cvi.Trajectory:
+        return cvi.simulate(balls(places), None, None, 0.5, dt=1e-3, order=4, dense=False)
+
+    both, alone = run([0.0, 1.0]), run([1.0])
+    assert np.array_equal(both.q[:, 7:], alone.q)
+    assert both.work.damping[-1] > alone.work.damping[-1] > 0.0
+    # With a compliant pair between them they are one.
+    coupled = balls([0.0, 1.0])
+    coupled.set_compliance("at0", "at1", stiffness=1e4)
+    assert static_trees(coupled.core()).count == 1
+    assert static_trees(balls([0.0, 1.0]).core()).count == 2
+
+
+def test_a_batch_has_the_bits_of_single_runs():
+    scene = ball(0.05, **LAWS["damped hertz"])
+    v = np.array([scene.velocity({"ball": (0.0, 0.0, -s)}) for s in (0.1, 0.4, 0.7)])
+    batch = cvi.simulate_batch(scene, [scene.neutral()] * 3, v, duration=0.3, dt=1e-3, order=2)
+    for k in range(3):
+        single = cvi.simulate(scene, None, v[k], 0.3, dt=1e-3, order=2)
+        assert np.array_equal(batch.q[k], single.q)
+
+
+def test_it_may_overlap_at_the_start_and_is_placed_on_the_ground():
+    scene = ball(0.1, stiffness=1000.0)
+    q = scene.place_on_ground("ball")
+    assert q[2] == pytest.approx(RADIUS, abs=1e-12)
+    q[2] -= 0.02
+    traj = cvi.simulate(scene, q, None, 0.3, dt=1e-4, order=4)
+    assert traj.potential_energy[0] == pytest.approx(MASS * 9.81 * (RADIUS - 0.02) + 500.0 * 0.02**2, rel=1e-12)
+    scene.set_compliance("ball", "ground", stiffness=None)
+    with pytest.raises(cvi.PenetrationError):
+        cvi.simulate(scene, q, None, 0.3, dt=1e-4, order=4)
+
+
+@pytest.mark.parametrize("shape", ["box", "capsule", "ellipsoid", "mesh"])
+def test_shapes_fall_on_the_ground_and_come_to_rest(shape):
+    """The energy balance closes, and in the end the forces carry the weight."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    place = ((0.0, 0.0, 0.2), (0.3, 0.2, 0.0))
+    corners = np.array([[0.1, 0.0, -0.05], [-0.1, 0.1, -0.05], [-0.1, -0.1, -0.05], [0.0, 0.0, 0.1]])
+    given = {"box": ((0.2, 0.1, 0.1),), "capsule": (0.05, 0.2), "ellipsoid": ((0.1, 0.06, 0.04),), "mesh": (corners,)}
+    getattr(scene, f"add_{shape}")("body", *given[shape], 1.0, placement=place)
+    scene.set_compliance("body", stiffness=1e4, damping=2.0, friction=0.5)
+    scene.set_joint("body", damping=0.05)
+    traj = cvi.simulate(scene, None, None, 4.0, dt=1e-3, order=4)
+    assert np.abs(traj.ledger.energy_balance).max() <= 1e-5
+    found = traj.compliant_contacts()
+    last = found.node == found.node.max()
+    assert found.force[last].sum(axis=0) * (1 if scene.compliant_pairs[0][0] == "ground" else -1) == pytest.approx(
+        [0.0, 0.0, 9.81], abs=0.05
+    )
+
+
+TARGETS = {
+    "box": lambda scene: scene.add_box("target", (0.2, 0.2, 0.2), free=False),
+    "cylinder": lambda scene: scene.add_cylinder("target", 0.1, 0.2, free=False),
+    "capsule": lambda scene: scene.add_capsule("target", 0.05, 0.2, free=False),
+    "sphere": lambda scene: scene.add_sphere("target", 0.1, free=False),
+    "mesh": lambda scene: scene.add_mesh(
+        "target", np.array([[0.1, 0, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0, 0, 0.2]]), free=False
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_gaps_of_a_ball_are_those_of_the_rigid_pair(name):
+    """At drawn places around each shape, over all of its features, to the noise of coal's distances."""
+    rigid = cvi.Scene()
+    TARGETS[name](rigid)
+    rigid.add_sphere("ball", 0.03, placement=(1.0, 0.0, 0.0))
+    soft = rigid.copy()
+    soft.set_compliance("ball", "target", stiffness=1.0)
+    draw = np.random.default_rng(3)
+    for _ in range(300):
+        q = rigid.configuration({"ball": tuple(draw.uniform(-0.25, 0.25, 3))})
+        gap = float(np.asarray(rigid.core().gaps(q)[0])[0])
+        if gap > -0.025:  # deeper the centre lies inside, where the way out is that through the nearest face
+            assert soft.core().compliant_gaps(q)[0][1] == pytest.approx(gap, abs=1e-7)
+
+
+def test_a_scene_file(tmp_path):
+    file = tmp_path / "drop.toml"
+    file.write_text(
+        "[[halfspace]]\n[[sphere]]\nname = 'ball'\nradius = 0.05\nmass = 0.8\nxyz = [0, 0, 0.15]\n"
+        "[[compliance]]\na = 'ball'\nb = 'ground'\nstiffness = 1000.0\ndamping = 0.3\n[run]\ndt = 1e-3\n"
+    )
+    scene = cvi.load_scene(file)
+    other = ball(0.1, stiffness=1000.0, damping=0.3)
+    ends = [cvi.simulate(x, None, None, 0.3, dt=1e-3).q[-1] for x in (scene, other)]
+    assert np.array_equal(*ends)
+
+
+@pytest.mark.parametrize(
+    ("law", "name"),
+    [
+        ({"stiffness": 0.0}, "stiffness"),
+        ({"stiffness": 1.0, "exponent": 0.5}, "exponent"),
+        ({"stiffness": 1.0, "damping": -1.0}, "damping"),
+        ({"stiffness": 1.0, "friction": -1.0}, "friction"),
+        ({"stiffness": 1.0, "slip_speed": 0.0}, "slip_speed"),
+    ],
+)
+def test_bad_numbers_are_refused(law, name):
+    with pytest.raises(cvi.InputError, match=name):
+        ball(0.1, **law)
+
+
+def test_shapes_whose_nearest_points_jump_are_refused():
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("one", (1.0, 1.0, 1.0), placement=(0.0, 0.0, 2.0))
+    scene.add_box("two", (1.0, 1.0, 1.0), placement=(0.0, 0.0, 4.0))
+    scene.set_compliance("one", "two", stiffness=1e5)
+    with pytest.raises(cvi.EngineError, match="nearest may jump"):
+        scene.core()
