@@ -319,6 +319,19 @@ class Scene:
         Add a spring along a line through points (n, 3) in the frames of joints.
         """
 
+    def add_compliance(self, pair: int, a: int, b: int, name_a: str, name_b: str, stiffness: float, exponent: float, damping: float, friction: float, slip_speed: float) -> None:
+        """
+        Let two geometries press on each other by a law of their gap; see core/model/elements.hpp.
+        """
+
+    def compliant_contacts(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
+        """
+        The compliant contacts that overlap at states: (state, pair) (m, 2), (depth, normal, point, force) (m, 10).
+        """
+
+    def compliant_gaps(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
+        """(pair, gap) of all compliant contacts, (m, 2)."""
+
     def add_wrench(self, joint: int, point: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, wrench: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')] | Callable[[float], Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')]]) -> None:
         """
         (force, torque) (6,) or a function of t, in the axes R of the joint's frame; without R in those of the world.

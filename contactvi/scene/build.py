@@ -14,6 +14,7 @@ from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.element import Element
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
+from contactvi.scene.compliance import compliance_rows
 from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved, resolve
 from contactvi.scene.engine import EngineScene, make_engine_scene
@@ -161,8 +162,12 @@ def build(
     index = parts.names.geometries
     disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (contact.disabled, contact.enabled))
     tested = {(min(index[a], index[b]), max(index[a], index[b])) for a, b in apart}
-    chosen, removed, overlaps = choose_pairs(assembly, parts.parts, disabled, enabled, tested)
     names = list(index)
+    soft = contact.compliance.mask(names)
+    chosen, removed, overlaps, compliant = choose_pairs(assembly, parts.parts, disabled, enabled, tested, soft)
+    resolved = resolve(elements, model, start)
+    mu = contact.friction.values(names, compliant)
+    resolved.compliances = compliance_rows(contact.compliance, names, compliant, mu)
     tested_pairs = PairNames(names, chosen)
     laws, restitution = contact.laws.laws(tested_pairs), contact.restitution.values(names, chosen)
     for law, places in laws:
@@ -181,6 +186,6 @@ def build(
         contact.friction.values(names, chosen),
         np.array([rule.values(names, overlaps.numbers) for rule in (contact.restitution, contact.friction)]),
         laws,
-        resolve(elements, model, start),
+        resolved,
         parts.names,
     )

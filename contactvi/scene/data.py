@@ -10,6 +10,8 @@ bodies      [{name, joint, placement}]
 geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}]; the pictures of a
             trajectory are stored beside the scene (visuals.py)
 pairs, pair_restitution, pair_friction, restitution, friction (defaults)
+compliances [{pair, stiffness, exponent, damping, friction, slip_speed}]: the compliant pairs, which are not among
+            `pairs`. Not in files of older versions
 neutral_overlaps [{pair, depth (text), one_part, restitution, friction}]: pairs that overlap at the neutral pose, of
             which a run tests those that are apart in its start; what the stored run tested is among `pairs` too. Not in
             files of older versions
@@ -43,6 +45,7 @@ from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
 from contactvi.scene.build import Built
 from contactvi.scene.camera import Camera, camera_of
+from contactvi.scene.compliance import compliances_from_dict, compliances_to_dict
 from contactvi.scene.contact_laws import laws_from_data, laws_to_data
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import JointSettings, JointTable, Servo
@@ -90,6 +93,7 @@ def scene_to_dict(
         "pairs": [list(pair) for pair in built.pairs],
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
+        "compliances": compliances_to_dict(built.elements.compliances),
         "neutral_overlaps": _overlaps_to_dict(built),
         "restitution": contact.restitution.default,
         "friction": contact.friction.default,
@@ -148,6 +152,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         tuple(map(str, row["pair"])): (str(row["depth"]), bool(row["one_part"]))
         for row in data.get("neutral_overlaps", ())
     }
+    soft = [row["pair"] for row in data.get("compliances", ())]
     part = Part(
         name="stored",
         kind="pinocchio",
@@ -157,7 +162,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         report=PartReport("scene from stored data"),
         load_pictures=lambda: pictures_of(collision),
         # An empty list means that no pair is tested.
-        given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
+        given_pairs=[(index[a], index[b]) for a, b in [*data["pairs"], *soft]],
         neutral_overlaps={(index[a], index[b]): row for (a, b), row in overlaps.items()},
     )
     handles = {
@@ -207,7 +212,8 @@ def _actuation_to_dict(built: Built) -> dict[str, Any]:
 
 
 def _contact(data: Mapping[str, Any]) -> ContactRules:
-    rules = ContactRules(Rule(float(data["restitution"])), Rule(float(data["friction"])))
+    compliance = compliances_from_dict(data.get("compliances", ()))
+    rules = ContactRules(Rule(float(data["restitution"])), Rule(float(data["friction"])), compliance)
     rules.laws = laws_from_data(data.get("contact_laws", ()))
     for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
         rules.restitution.set_pair([a], [b], float(e))

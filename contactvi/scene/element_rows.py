@@ -33,6 +33,7 @@ from contactvi.errors import InputError, UserFunctionError
 from contactvi.importing.couplings import Couplings, find_couplings
 from contactvi.importing.kinematics import joint_placements
 from contactvi.inputs import real
+from contactvi.scene.compliance import ComplianceRow
 
 Frame = tuple[int, np.ndarray, np.ndarray]
 _LEAST_LENGTH = 1e-9  # [m] distance below which there is no direction
@@ -86,6 +87,7 @@ class Resolved:
     Attributes:
         dofs: Names of the degrees of freedom, (nv,).
         couplings: Joints that follow others, which some of the constraints are.
+        compliances: The compliant pairs, which are no elements but act as springs do.
     """
 
     dofs: list[str]
@@ -95,6 +97,7 @@ class Resolved:
     potentials: list[UserPotential] = field(default_factory=list)
     forces: list[UserForce] = field(default_factory=list)
     couplings: Couplings = field(default_factory=Couplings)
+    compliances: list[ComplianceRow] = field(default_factory=list)
 
     @property
     def equations(self) -> list[ConstraintRow]:
@@ -103,8 +106,9 @@ class Resolved:
 
     @property
     def any(self) -> bool:
-        """Whether there is any element."""
-        return bool(self.constraints or self.springs or self.wrenches or self.potentials or self.forces)
+        """Whether there is any element, or compliant pair."""
+        forces = self.springs or self.wrenches or self.potentials or self.forces or self.compliances
+        return bool(self.constraints or forces)
 
 
 def resolve(elements: Sequence[Element], model: pin.Model, start: np.ndarray) -> Resolved:

@@ -91,9 +91,13 @@ def _set_joints(scene: EngineScene, arrays: JointArrays) -> None:
 
 
 def _add_elements(scene: EngineScene, elements: Resolved) -> None:
-    """Hand springs, wrenches, functions of the user and constraints to the engine's scene, in this order."""
+    """Hand springs, compliant pairs, wrenches, functions of the user and constraints to the engine's scene."""
     from contactvi import _core
 
+    for k, soft in enumerate(elements.compliances):
+        law = soft.law
+        numbers = (law.stiffness, law.exponent, law.damping, law.friction or 0.0, law.slip_speed)
+        scene.add_compliance(k, soft.a, soft.b, *soft.names, *numbers)
     for spring in elements.springs:
         scene.add_path_spring(*spring)
     for wrench in elements.wrenches:
@@ -167,6 +171,15 @@ def engine_contact_points(scene: EngineScene, q: np.ndarray, pair: int, margin: 
     from contactvi import _core
 
     return _core.contact_points(scene, q, pair, margin)
+
+
+def engine_compliant_contacts(scene: EngineScene, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the compliant contacts that overlap at states (n, nq), (n, nv).
+
+    The numbers of state and pair, (m, 2), and depth, normal, point and force on the second shape, (m, 10), world frame.
+    """
+    numbers, values = scene.compliant_contacts(q, v)
+    return np.asarray(numbers), np.asarray(values)
 
 
 def engine_passive_forces(scene: EngineScene, q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:

@@ -41,6 +41,7 @@ from contactvi.importing.report import (
     RemovedPair,
 )
 from contactvi.scene.assembly import Assembly
+from contactvi.scene.compliance import ComplianceRule
 from contactvi.scene.contact_laws import LawRules
 
 RESTITUTION = 0.5  # default: neither plastic nor elastic
@@ -137,10 +138,11 @@ class Rule:
 
 @dataclass
 class ContactRules:
-    """What the user gives about contacts: restitution, friction, laws, and pairs switched off or on by name."""
+    """What the user gives about contacts: numbers, compliance, laws, and pairs switched off or on by name."""
 
     restitution: Rule = field(default_factory=lambda: Rule(RESTITUTION))
     friction: Rule = field(default_factory=lambda: Rule(FRICTION))
+    compliance: ComplianceRule = field(default_factory=ComplianceRule)
     disabled: list[tuple[str, str]] = field(default_factory=list)
     enabled: list[tuple[str, str]] = field(default_factory=list)
     laws: LawRules = field(default_factory=LawRules)
@@ -238,11 +240,13 @@ class Choice(NamedTuple):
         pairs: indices of geometries, int32 of shape (npairs, 2), ascending as the pairs of the geometry are.
         removed: the pairs that are not tested, with the reasons.
         overlaps: those that overlap at the neutral pose, tested or not.
+        compliant: pairs that would be tested but are compliant, which may overlap, as `pairs`.
     """
 
     pairs: np.ndarray
     removed: list[RemovedPair]
     overlaps: NeutralOverlaps
+    compliant: np.ndarray
 
 
 def choose_pairs(
@@ -251,12 +255,14 @@ def choose_pairs(
     disabled: Iterable[tuple[int, int]] = (),
     enabled: Iterable[tuple[int, int]] = (),
     apart: Collection[tuple[int, int]] = (),
+    compliant: np.ndarray | None = None,
 ) -> Choice:
     """Set the collision pairs of the assembled geometry, and return them.
 
     Args:
         disabled, enabled: pairs of geometry indices switched off or on by the user, against every other reason.
         apart: pairs that are tested although they overlap at the neutral pose.
+        compliant: which pairs are compliant if they may touch, as ComplianceRule.mask returns it.
     """
     geometry = assembly.collision
     names = [g.name for g in geometry.geometryObjects]
@@ -287,21 +293,25 @@ def choose_pairs(
     drop(_adjacent(assembly, parts, joints) & ~given, ADJACENT)
     drop(*_disabled_by_file(assembly, parts))
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
-    details = _overlaps(assembly, parts, keep & ~forced & ~(given & ~_checked(assembly, parts)))
+    soft = (keep | forced) & (False if compliant is None else compliant)
+    rigid = keep & ~forced & ~soft
+    details = _overlaps(assembly, parts, rigid & ~(given & ~_checked(assembly, parts)))
     stored = _stored_overlaps(assembly, parts)
-    details |= {pair: row[0] for pair, row in stored.items() if keep[pair] and not forced[pair]}
+    details |= {pair: row[0] for pair, row in stored.items() if rigid[pair]}
     mask = np.zeros((count, count), dtype=bool)
     for pair in details:
         mask[pair] = pair not in apart
     drop(mask, OVERLAP, details)
-    geometry.setCollisionPairs(keep | forced)
+    tested = (keep | forced) & ~soft
+    geometry.setCollisionPairs(tested)
     pairs, part = sorted(details), assembly.part_of_geometry
     overlaps = NeutralOverlaps(
         assembly.model, geometry, assembly.start, np.array(pairs, dtype=np.int32).reshape(-1, 2),
         [details[pair] for pair in pairs], np.array([pair in apart for pair in pairs], dtype=bool),
         np.array([stored[a, b][1] if (a, b) in stored else part[a] == part[b] for a, b in pairs], dtype=bool),
     )  # fmt: skip
-    return Choice(np.argwhere(keep | forced).astype(np.int32), removed, overlaps)
+    chosen, yielding = (np.argwhere(mask).astype(np.int32) for mask in (tested, soft))
+    return Choice(chosen, removed, overlaps, yielding)
 
 
 def untested_reason(

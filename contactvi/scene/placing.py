@@ -53,7 +53,9 @@ def place_on_ground(
     up = axes.T @ _normal(built, name)
     q = q.copy()
     for _ in range(_ROUNDS):
-        gap = float(np.min(np.asarray(built.engine.gaps(q)[0])[pairs]))
+        gaps = np.asarray(built.engine.gaps(q)[0])
+        soft, depths = np.asarray(built.engine.compliant_gaps(q)).T
+        gap = min([*gaps[[k for k in pairs if k < len(gaps)]], *depths[np.isin(soft + len(gaps), pairs)]])
         q[joint.idx_q : joint.idx_q + 3] -= gap * up
     return q
 
@@ -86,10 +88,10 @@ def _joints(built: Built, names: Names, part: Selector) -> list[int]:
 
 
 def _halfspaces(built: Built, carried: set[str]) -> dict[str, list[int]]:
-    """Return the tested pairs of these geometries with each halfspace that is fixed to the world."""
+    """Return the pairs of these geometries with each halfspace that is fixed to the world: tested, then compliant."""
     shapes = {g.name: g.geometry for g in built.collision.geometryObjects}
     found: dict[str, list[int]] = {}
-    for k, (a, b) in enumerate(built.pairs):
+    for k, (a, b) in enumerate((*built.pairs, *(row.names for row in built.elements.compliances))):
         for own, other in ((a, b), (b, a)):
             if own in carried and isinstance(shapes[other], coal.Halfspace) and built.carriers[other] == 0:
                 found.setdefault(other, []).append(k)

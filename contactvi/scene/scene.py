@@ -23,6 +23,7 @@ from contactvi.inputs import flag, mapping, pose, real, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
+from contactvi.scene.compliance import Compliance
 from contactvi.scene.contact_laws import checked_contact
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
 from contactvi.scene.dynamics import SceneDynamics
@@ -296,6 +297,47 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             self._warn_if_untested(first, second)
         self._built = None
 
+    def set_compliance(
+        self,
+        a: Selector,
+        b: Selector | None = None,
+        *,
+        stiffness: float | None,
+        exponent: float = 1.0,
+        damping: float = 0.0,
+        friction: float | None = None,
+        slip_speed: float = 1e-3,
+    ) -> None:
+        """Let contacts be compliant: a force by the depth d of their overlap, in place of impacts and rigid contact.
+
+        The normal force is f = stiffness d^exponent (1 + damping d'), and never pulls (Hunt and Crossley, 1975); the
+        friction is friction f s / sqrt(s^2 + slip_speed^2) against the slip of speed s. It acts at the midpoint of the
+        nearest points, inside of the smooth steps of any order, which end where a contact begins to press or to be
+        open. Compliant pairs may overlap in a start, also at the neutral pose; they are not among `pair_names`, and
+        `Trajectory.compliant_contacts` tells their forces. Soft against rigid things at once, in any mixture.
+
+        Shapes: a ball against a ball, capsule, box, cylinder, hull or halfspace; two capsules; a capsule, ellipsoid,
+        box or hull against a halfspace, on which each end of the capsule and each corner presses by a law of its own,
+        of this stiffness. Others are refused when the scene is made (EngineError).
+
+        Args:
+            a, b: bodies, parts or geometries. Without b: all pairs of a, but what is set for pairs counts more; of two
+                sides with a law of their own the softer one counts.
+            stiffness: [N/m^exponent]; None: rigid again.
+            exponent: 1 is a linear spring, 1.5 Hertz's contact (1882), at least 1.
+            damping: [s/m], >= 0. The restitution at the speed v is near 1 - 2/3 damping v where that is near 1.
+            friction: Coulomb's coefficient, >= 0; None: that of the pair (`set_contact`).
+            slip_speed: below which friction is viscous [m/s]. What rests on a slope creeps with about
+                slip_speed tan(slope) / friction.
+        """
+        law = None if stiffness is None else Compliance.checked(stiffness, exponent, damping, friction, slip_speed)
+        first = self._geometries(a, "a")
+        second = None if b is None else self._geometries(b, "b")
+        self._contact.compliance.set(first, second, law)
+        if second is not None:
+            self._warn_if_untested(first, second)
+        self._built = None
+
     def _warn_if_untested(self, first: Sequence[str], second: Sequence[str]) -> None:
         """Warn where what is set for the pairs between these geometries has no effect, because none is tested."""
         index, rules = self.names.geometries, self._contact
@@ -528,6 +570,11 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def pair_names(self) -> list[tuple[str, str]]:
         """The tested pairs (geometry, geometry), in the engine's order."""
         return list(self.built().pairs)
+
+    @property
+    def compliant_pairs(self) -> list[tuple[str, str]]:
+        """The compliant pairs (geometry, geometry), in the order of `Trajectory.compliant_contacts`."""
+        return [row.names for row in self.built().elements.compliances]
 
     @property
     def pair_restitution(self) -> np.ndarray:

@@ -22,6 +22,7 @@
     [[weld]], [[screw]]     a, b, name; [[weld]] xyz, rpy; [[screw]] pitch, frame_a, frame_b = { xyz, rpy }
     [[equality]]            joint, other, coefficients = [c0, c1, ...], name
     [[prescribe]]           joint (or a free body), motion, name
+    [[compliance]]          a, b, stiffness, exponent, damping, friction, slip_speed     as Scene.set_compliance
     [[spring]]              a, b, point_a, point_b, stiffness, rest_length, damping, tension_only, name
     [[tape_spring]]         points = [["body", [x, y, z]], ...], and the rest of [[spring]]
     [[wrench]]              body, force, torque, point, axes = "world" | "body", name
@@ -184,7 +185,7 @@ def _add_model(scene: Scene, part: Part, entry: Mapping[str, Any]) -> None:
 
 
 def _add_element(scene: Scene, section: str, entry: Mapping[str, Any]) -> None:
-    """Add a constraint, spring, wrench, servo or actuator to the scene."""
+    """Add a constraint, spring, wrench, compliant pair, servo or actuator to the scene."""
     values = dict(entry)
     if section == "weld":
         placed = [values.pop(key, None) for key in ("xyz", "rpy")]
@@ -197,7 +198,7 @@ def _add_element(scene: Scene, section: str, entry: Mapping[str, Any]) -> None:
         scene.add_joint_equality(values.pop("joint"), values.pop("other", None), **values)
     elif section == "prescribe":
         scene.prescribe(**values)
-    elif section in ("servo", "actuator"):
+    elif section in ("compliance", "servo", "actuator"):
         getattr(scene, f"set_{section}")(**values)
     else:
         getattr(scene, f"add_{section}")(**values)

@@ -26,6 +26,7 @@ ELEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "spring": ((*_ENDS, *_POINTS, *_SPRING), (*_ENDS, "stiffness")),
     "tape_spring": (("points", *_SPRING), ("points", "stiffness")),
     "wrench": (("body", "force", "torque", "point", "axes", "name"), ("body",)),
+    "compliance": ((*_ENDS, "stiffness", "exponent", "damping", "friction", "slip_speed"), ("a", "stiffness")),
     "servo": (("joint", "kp", "kd", "effort", "target"), ("joint", "kp", "kd")),
     "actuator": (("joint", "effort", "velocity"), ("joint",)),
 }

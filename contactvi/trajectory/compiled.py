@@ -180,6 +180,7 @@ class CompiledScene:
     def dissipates(self) -> bool:
         """Whether dampers or joint friction take energy, the damping of joints aside."""
         dampers = any(damping > 0.0 for *_, damping, _only in self.built.elements.springs)
+        dampers |= any(row.law.damping or row.law.friction for row in self.built.elements.compliances)
         return dampers or bool(np.any(self.built.arrays.joint_friction))
 
     @cached_property

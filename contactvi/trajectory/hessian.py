@@ -117,6 +117,12 @@ def check_exact(compiled: CompiledScene, names: Sequence[str]) -> None:
             expected="forces of the scene's own elements", got=f"{element.name!r}, given in Python",
             remedy="Use method='gauss-newton', which needs their first derivatives alone",
         )  # fmt: skip
+    for row in found.compliances:
+        raise NotDifferentiable(
+            "Forces of compliant pairs have no second derivatives that are known", reason="second",
+            expected="rigid pairs", got=f"the compliant pair of {row.names[0]!r} and {row.names[1]!r}",
+            remedy="Use method='gauss-newton', which needs their first derivatives alone",
+        )  # fmt: skip
 
 
 def _gauss_newton(

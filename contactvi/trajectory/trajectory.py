@@ -14,11 +14,13 @@ from contactvi.aliases import alias, renamed_arguments
 from contactvi.errors import InputError
 from contactvi.options import Options
 from contactvi.records.codes import STEP_KINDS
+from contactvi.records.compliant_contacts import CompliantContacts, compliant_contacts
 from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
 from contactvi.records.work import ConstraintRows, Forces, Work
+from contactvi.scene.engine import engine_compliant_contacts
 from contactvi.status import Stats, Status
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
@@ -309,6 +311,17 @@ class Trajectory(Exports):
         if self._gaps is None:
             self._gaps = gaps_along(self, self._engine)
         return self._gaps
+
+    def compliant_contacts(self) -> CompliantContacts:
+        """Return the forces of compliant pairs (`Scene.set_compliance`) at the nodes, a row for each overlap.
+
+        They are no rows of `contacts`, whose forces are means over steps: these are those of the law at the nodes.
+        """
+        pairs = self.scene.compliant_pairs
+        numbers, values = np.zeros((0, 2)), np.zeros((0, 10))
+        if pairs:
+            numbers, values = engine_compliant_contacts(self._engine(), self.q, self.v)
+        return compliant_contacts(pairs, self.t, numbers, values)
 
     def at(self, t: ArrayLike) -> State:
         """Return the state at time t [s], as accurate as the nodes: by a step that ends there, for the price of one.

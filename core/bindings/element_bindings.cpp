@@ -7,6 +7,7 @@
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
+#include <array>
 #include <cmath>
 #include <limits>
 #include <tuple>
@@ -17,6 +18,8 @@
 #include "bindings/expose.hpp"
 #include "bindings/user_calls.hpp"
 #include "bindings/user_functions.hpp"
+#include "model/body_twists.hpp"
+#include "model/compliance.hpp"
 #include "model/constraints.hpp"
 #include "model/coordinates.hpp"
 #include "model/coupling.hpp"
@@ -162,6 +165,67 @@ void add_path_spring(Scene& s, const std::vector<int>& joints, const Rows& point
   for (std::size_t i = 0; i < joints.size(); ++i)
     spring.points.push_back(frame(s.tree, joints[i], std::nullopt, points.row(i).transpose()));
   s.tree.elements.path_springs.push_back(std::move(spring));
+}
+
+// Of the compliant pair number `pair`, of geometries a and b.
+void add_compliance(Scene& s, int pair, int a, int b, const std::string& name_a, const std::string& name_b,
+                    double stiffness, double exponent, double damping, double friction, double slip_speed) {
+  const int count = static_cast<int>(s.geometries.size());
+  need(a >= 0 && a < count && b >= 0 && b < count, "a pair of no geometries");
+  need(stiffness >= 0.0 && exponent >= 1.0 && damping >= 0.0 && friction >= 0.0 && slip_speed > 0.0,
+       "a compliance has numbers that are not negative, an exponent from 1 on, and a slip speed above 0");
+  const ComplianceLaw law{stiffness, exponent, damping, friction, slip_speed};
+  for (const TouchingPair& found : touching_pairs(s, a, b, name_a, name_b)) {
+    const int first = found.reversed ? b : a, second = found.reversed ? a : b;
+    s.tree.elements.compliances.push_back(
+        {s.geometries[first].body, s.geometries[second].body, law, found.shapes, pair, found.reversed});
+  }
+}
+
+// The compliant contacts that overlap at states (n, nq), (n, nv) in public coordinates: the number of the state and of
+// the pair (m, 2), and the depth, normal from the first shape to the second one, point, and force on the second shape,
+// (m, 10), in the world.
+std::pair<Array2, Array2> compliant_contacts(const Scene& s, const Rows& q, const Rows& v) {
+  need(q.cols() == s.tree.nq && v.cols() == s.tree.nv && q.rows() == v.rows(), "expected shapes (n, nq) and (n, nv)");
+  std::vector<std::array<double, 12>> found;
+  BodyTwists bodies(s.tree);
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    const VecX at = q.row(i).transpose();
+    VecX speed = v.row(i).transpose();
+    public_to_engine(s.tree, at, speed);
+    bodies.place(at);
+    bodies.move(speed);
+    for (const CompliantContact& c : s.tree.elements.compliances) {
+      const Touch<double> touch = touch_of(c, bodies.placements());
+      if (!(touch.gap < 0.0)) continue;
+      const Vec3 w = bodies.velocity(c.body_a, touch.point) - bodies.velocity(c.body_b, touch.point);
+      const bool acts = presses(c.law, touch.gap, touch.normal.dot(w));
+      const Vec3 force = acts ? press_of(c.law, touch, w).force : Vec3(Vec3::Zero());
+      const double sign = c.reversed ? 1.0 : -1.0;  // the normal is from b to a, and the force that on a
+      const Vec3 n = sign * touch.normal, f = sign * force;
+      found.push_back({static_cast<double>(i), static_cast<double>(c.pair), -touch.gap, n[0], n[1], n[2],
+                       touch.point[0], touch.point[1], touch.point[2], f[0], f[1], f[2]});
+    }
+  }
+  const auto rows = static_cast<Eigen::Index>(found.size());
+  Rows numbers(rows, 2), values(rows, 10);
+  for (Eigen::Index k = 0; k < rows; ++k)
+    for (int j = 0; j < 12; ++j) (j < 2 ? numbers(k, j) : values(k, j - 2)) = found[static_cast<std::size_t>(k)][j];
+  return {hand_over(std::move(numbers)), hand_over(std::move(values))};
+}
+
+// Number of the pair and gap of all compliant contacts, (m, 2).
+Array2 compliant_gaps(const Scene& s, const VecX& q) {
+  need(q.size() == s.tree.nq, "expected shape (nq,)");
+  const std::vector<CompliantContact>& contacts = s.tree.elements.compliances;
+  Placements at(s.tree);
+  place(s.tree, q, at);
+  Rows found(static_cast<Eigen::Index>(contacts.size()), 2);
+  for (std::size_t k = 0; k < contacts.size(); ++k) {
+    found(static_cast<Eigen::Index>(k), 0) = contacts[k].pair;
+    found(static_cast<Eigen::Index>(k), 1) = touch_of(contacts[k], at).gap;
+  }
+  return hand_over(std::move(found));
 }
 
 void add_wrench(Scene& s, int joint, const Vec3& point, const std::optional<Mat3>& R,
@@ -349,6 +413,13 @@ void expose_elements(nb::class_<Scene>& scene) {
            "Add V = sum_k c[k] x^(k+2), x = q - rest.")
       .def("add_path_spring", &add_path_spring, "joints"_a, "points"_a, "stiffness"_a, "rest_length"_a, "damping"_a,
            "tension_only"_a, "Add a spring along a line through points (n, 3) in the frames of joints.")
+      .def("add_compliance", &add_compliance, "pair"_a, "a"_a, "b"_a, "name_a"_a, "name_b"_a, "stiffness"_a,
+           "exponent"_a, "damping"_a, "friction"_a, "slip_speed"_a,
+           "Let two geometries press on each other by a law of their gap; see core/model/elements.hpp.")
+      .def(
+          "compliant_contacts", &compliant_contacts, "q"_a, "v"_a,
+          "The compliant contacts that overlap at states: (state, pair) (m, 2), (depth, normal, point, force) (m, 10).")
+      .def("compliant_gaps", &compliant_gaps, "q"_a, "(pair, gap) of all compliant contacts, (m, 2).")
       .def("add_wrench", &add_wrench, "joint"_a, "point"_a, "R"_a.none(), "wrench"_a,
            "(force, torque) (6,) or a function of t, in the axes R of the joint's frame; without R in those of the "
            "world.")

@@ -22,6 +22,8 @@ bool couples_branches(const Tree& tree) {
     for (const BodyFrame& a : spring.points)
       for (const BodyFrame& b : spring.points)
         if (a.body >= 0 && b.body >= 0 && !on_one_path(tree, a.body, b.body)) return true;
+  for (const CompliantContact& c : e.compliances)
+    if (c.body_a >= 0 && c.body_b >= 0 && !on_one_path(tree, c.body_a, c.body_b)) return true;
   return false;
 }
 

@@ -37,6 +37,27 @@ struct PathSpring {
   bool tension_only;
 };
 
+// The normal force of a compliant contact of depth d, and its friction at the slip speed s:
+// f = stiffness d^exponent (1 + damping d'), never negative, and friction f s / sqrt(s^2 + slip_speed^2).
+struct ComplianceLaw {
+  double stiffness;   // [N/m^exponent]
+  double exponent;    // >= 1
+  double damping;     // [s/m]
+  double friction;    // Coulomb's coefficient
+  double slip_speed;  // [m/s], > 0
+};
+
+struct TouchingShapes;  // model/touching_shapes.hpp
+
+// Where the two shapes of a compliant pair press on each other. Bodies are engine joints, -1: world.
+struct CompliantContact {
+  int body_a, body_b;
+  ComplianceLaw law;
+  std::shared_ptr<const TouchingShapes> shapes;
+  int pair;       // among the compliant pairs of the whole scene
+  bool reversed;  // whether the first shape of that pair is b's
+};
+
 // Force [N] and torque [N m] (3 + 3) at a frame's origin, in world axes or in the frame's.
 struct AppliedWrench {
   BodyFrame at;
@@ -92,6 +113,7 @@ struct Elements {
   VecX effort, speed;
   std::vector<JointPotential> joint_potentials;
   std::vector<PathSpring> path_springs;
+  std::vector<CompliantContact> compliances;
   std::vector<AppliedWrench> wrenches;
   std::vector<UserForce> forces;
   std::vector<UserPotential> potentials;
@@ -105,8 +127,8 @@ struct Elements {
   std::shared_ptr<UserCalls> functions;  // of the users; null: none
 
   bool any_force() const {
-    return !(joint_potentials.empty() && path_springs.empty() && wrenches.empty() && forces.empty() &&
-             potentials.empty());
+    return !(joint_potentials.empty() && path_springs.empty() && compliances.empty() && wrenches.empty() &&
+             forces.empty() && potentials.empty());
   }
   bool user_failed() const { return functions && functions->failed(); }
   // Calls from now on count anew.

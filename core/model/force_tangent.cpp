@@ -1,6 +1,7 @@
 #include "model/force_tangent.hpp"
 
 #include "base/tolerances.hpp"
+#include "model/compliance.hpp"
 #include "model/coordinates.hpp"
 #include "model/point_jacobian.hpp"
 
@@ -82,6 +83,55 @@ void ForceTangent::add_springs(VecRef df) {
   }
 }
 
+void ForceTangent::take_compliances() {
+  pressing_.clear();
+  const std::vector<CompliantContact>& contacts = tree_->elements.compliances;
+  if (contacts.empty()) return;
+  const VecX none = VecX::Zero(v_.size());
+  bodies_.move(v_, none, none);
+  const auto velocity = [&](int body, const Vec3& x) {
+    return body < 0 ? Vec3(Vec3::Zero()) : Vec3(bodies_.speed(body).lin + bodies_.speed(body).ang.cross(x));
+  };
+  for (std::size_t k = 0; k < contacts.size(); ++k) {
+    const CompliantContact& c = contacts[k];
+    const Placements& at = bodies_.placements();
+    const TouchPose<double> A = touch_pose(at, c.body_a), B = touch_pose(at, c.body_b);
+    if (least_gap(*c.shapes, A, B) > 0.0) continue;
+    const NearestFeatures found = nearest_touch(*c.shapes, A, B);
+    const Touch<double> now = touch(found.a, found.b, A, B);
+    const double along = now.normal.dot(velocity(c.body_a, now.point) - velocity(c.body_b, now.point));
+    if (presses(c.law, now.gap, along)) pressing_.push_back({k, found});
+  }
+}
+
+// With dual numbers, whose derivatives are those along the direction.
+void ForceTangent::add_compliances(VecRef df) {
+  const Placements& at = bodies_.placements();
+  const auto moved = [&](int body) {
+    TouchPose<DualNumber> pose;
+    if (body < 0) return pose;
+    const Twist& D = bodies_[body];
+    pose.R = dual(at.R_W[body], skew(D.ang) * at.R_W[body]);
+    pose.p = dual(at.p_W[body], D.lin + D.ang.cross(at.p_W[body]));
+    return pose;
+  };
+  const auto velocity = [&](int body, const Dual3& x) {
+    if (body < 0) return Dual3(Dual3::Zero());
+    const Twist &V = bodies_.speed(body), &dV = bodies_.speed_moved(body);
+    return Dual3(dual(V.lin, dV.lin) + Dual3(dual(V.ang, dV.ang)).cross(x));
+  };
+  const Vec3 none = Vec3::Zero();
+  for (const Pressing& pressing : pressing_) {
+    const CompliantContact& c = tree_->elements.compliances[pressing.contact];
+    const Touch<DualNumber> now = touch(pressing.features.a, pressing.features.b, moved(c.body_a), moved(c.body_b));
+    const Dual3 speed = velocity(c.body_a, now.point) - velocity(c.body_b, now.point);
+    const PressOf<DualNumber> acts = press_of(c.law, now, speed);
+    const Vec3 F = value(acts.force), dF = derivative(acts.force), x = value(now.point), dx = derivative(now.point);
+    bodies_.add_wrench(c.body_a, x, dx, F, dF, none, none, df);
+    bodies_.add_wrench(c.body_b, x, dx, -F, -dF, none, none, df);
+  }
+}
+
 void ForceTangent::add_wrenches(VecRef df) {
   for (std::size_t k = 0; k < wrenches_.size(); ++k) {
     const AppliedWrench& wrench = tree_->elements.wrenches[k];
@@ -124,7 +174,8 @@ void ForceTangent::take(double t, const VecCRef& q, const VecCRef& v) {
   const Elements& e = tree_->elements;
   q_ = q;
   v_ = v;
-  if (!e.path_springs.empty() || !e.wrenches.empty()) bodies_.place(q);
+  if (!e.path_springs.empty() || !e.compliances.empty() || !e.wrenches.empty()) bodies_.place(q);
+  take_compliances();
   for (std::size_t k = 0; k < wrenches_.size(); ++k)
     wrenches_[k] = e.wrenches[k].signal ? e.wrenches[k].signal(t) : e.wrenches[k].value;
   if (forces_.empty() && potentials_.empty()) return;
@@ -147,9 +198,10 @@ void ForceTangent::add(const VecCRef& dq, const VecCRef& dv, VecRef df) {
     const Joint& joint = tree_->joints[p.joint];
     df[joint.iv] -= curvature(p, q_[joint.iq] - p.rest) * dq[joint.iv];
   }
-  if (!e.path_springs.empty() || !e.wrenches.empty()) {
+  if (!e.path_springs.empty() || !pressing_.empty() || !e.wrenches.empty()) {
     bodies_.move(v_, dq, dv);
     add_springs(df);
+    add_compliances(df);
     add_wrenches(df);
   }
   add_users(dq, dv, df);

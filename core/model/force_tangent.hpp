@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "model/body_twists.hpp"
+#include "model/touching_shapes.hpp"
 
 namespace contactvi {
 
@@ -25,6 +26,8 @@ class ForceTangent {
   // Adds what the force F [N] at the point x of a body and the torque T [N m] change by.
   void add_wrench(int body, const Point& at, const Vec3& F, const Vec3& dF, const Vec3& T, const Vec3& dT, VecRef df);
   void add_springs(VecRef df);
+  void take_compliances();
+  void add_compliances(VecRef df);
   void add_wrenches(VecRef df);
   void add_users(const VecCRef& dq, const VecCRef& dv, VecRef df);
 
@@ -39,6 +42,12 @@ class ForceTangent {
     MatX by_q, by_v;
   };
   std::vector<Eigen::Matrix<double, 6, 1>> wrenches_;
+  // The compliant contacts that press there, by their numbers, and their nearest features.
+  struct Pressing {
+    std::size_t contact;
+    NearestFeatures features;
+  };
+  std::vector<Pressing> pressing_;
   std::vector<User> forces_, potentials_;
   VecX dq_, dv_, change_;
 };

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "model/compliance.hpp"
 #include "model/coordinates.hpp"
 #include "model/point_jacobian.hpp"
 
@@ -29,6 +30,18 @@ struct Polynomial {
   }
 };
 
+// Of the force by the whole of the places from which a depth comes. With the tolerance of the stage equations, 1e-12 of
+// a force's size, that is ten times the rounding.
+constexpr double kOfPlaces = 1e-3;
+constexpr int kCompliantColumns = 3;  // of the Newton terms of a contact
+
+// Some unit vector orthogonal to n.
+Vec3 any_orthogonal(const Vec3& n) {
+  Eigen::Index smallest;
+  n.cwiseAbs().minCoeff(&smallest);
+  return (Vec3::Unit(smallest) - n[smallest] * n).normalized();
+}
+
 bool in_reach(const PathSpring& spring, double length) { return !spring.tension_only || length > spring.rest_length; }
 
 }  // namespace
@@ -45,12 +58,14 @@ ForceField::ForceField(const Tree& tree)
       v_side_(tree.nv) {
   const Elements& e = tree.elements;
   stiff_columns_ = static_cast<int>(e.path_springs.size() + e.joint_potentials.size());
+  const int compliant = kCompliantColumns * static_cast<int>(e.compliances.size());
+  if (compliant > 0) rows_.resize(tree.nv, kCompliantColumns);
   bool derivatives = false;
   for (const UserForce& force : e.forces) derivatives |= static_cast<bool>(force.derivative);
   for (const UserPotential& potential : e.potentials) derivatives |= static_cast<bool>(potential.hessian);
+  if (derivatives) user_column_ = stiff_columns_;
+  stiff_columns_ += compliant + (derivatives ? tree.nv : 0);
   if (!derivatives) return;
-  user_column_ = stiff_columns_;
-  stiff_columns_ += tree.nv;
   first_.resize(tree.nv, tree.nv);
   second_.resize(tree.nv, tree.nv);
 }
@@ -83,14 +98,100 @@ double ForceField::tension(std::size_t k, double length, double speed, double& e
   return spring.tension_only ? std::max(0.0, whole) : whole;
 }
 
+double ForceField::depth(int law, const VecCRef& q, VecRef gradient) {
+  const CompliantContact& c = tree_->elements.compliances[law - tree_->elements.path_springs.size()];
+  place(*tree_, q, at_);
+  const Touch<double> touch = touch_of(c, at_);
+  gradient.setZero();
+  add_point_row(*tree_, at_, c.body_a, touch.point, touch.normal, 1.0, gradient);
+  add_point_row(*tree_, at_, c.body_b, touch.point, touch.normal, -1.0, gradient);
+  return -touch.gap;
+}
+
+// The rows in rows_ are those of the motion of a's point against b's along the normal and two tangents.
+bool ForceField::press(std::size_t k, const VecCRef& v, Press& press) {
+  const CompliantContact& c = tree_->elements.compliances[k];
+  const bool held = pulls_ != nullptr, open = held && (*pulls_)[tree_->elements.path_springs.size() + k] == 0;
+  const TouchPose<double> A = touch_pose(at_, c.body_a), B = touch_pose(at_, c.body_b);
+  if ((!held || open) && least_gap(*c.shapes, A, B) > 0.0) return false;
+  press.touch = touch_of(c, at_);
+  const bool overlaps = press.touch.gap < 0.0;
+  if ((!held || open) && !overlaps) return false;
+  const Vec3 directions[kCompliantColumns] = {press.touch.normal, any_orthogonal(press.touch.normal),
+                                              press.touch.normal.cross(any_orthogonal(press.touch.normal))};
+  rows_.setZero();
+  add_point_rows(*tree_, at_, c.body_a, press.touch.point, directions, 1.0, rows_);
+  add_point_rows(*tree_, at_, c.body_b, press.touch.point, directions, -1.0, rows_);
+  press.velocity.setZero();
+  for (int i = 0; i < kCompliantColumns; ++i) press.velocity += rows_.col(i).dot(v) * directions[i];
+  press.acts = press_of(c.law, press.touch, press.velocity);
+  if (open || (!held && !presses(c.law, press.touch.gap, press.touch.normal.dot(press.velocity)))) {
+    press.acts.normal = 0.0;
+    press.acts.force.setZero();
+  }
+  return true;
+}
+
+void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
+  Press now;
+  for (std::size_t k = 0; k < tree_->elements.compliances.size(); ++k) {
+    if (!press(k, v, now)) continue;
+    dissipation_ += now.acts.elastic * now.touch.normal.dot(now.velocity) - now.acts.force.dot(now.velocity);
+    if (now.acts.normal == 0.0) continue;
+    const Vec3 t1 = any_orthogonal(now.touch.normal), t2 = now.touch.normal.cross(t1);
+    row_ =
+        now.acts.normal * rows_.col(0) + now.acts.force.dot(t1) * rows_.col(1) + now.acts.force.dot(t2) * rows_.col(2);
+    f += row_;
+    // The depth is a difference of places, whose rounding a stiff law magnifies: iterations come no nearer.
+    const CompliantContact& c = tree_->elements.compliances[k];
+    size += row_.cwiseAbs() +
+            kOfPlaces * compliance_slope(c.law, now.touch.gap) * touch_size(c, now.touch) * rows_.col(0).cwiseAbs();
+  }
+}
+
+// In the directions of the rows, n and both tangents, with the slip speed s, its vector v_t and r = sqrt(s^2 + slow^2):
+// f_n = k d^e (1 - c v_n) and f_t = -mu f_n v_t / r. Without the change of the directions.
+int ForceField::compliant_terms(const VecCRef& v, double damping, double stiffness, int column, Eigen::Ref<MatX> J,
+                                Eigen::Ref<MatX> C) {
+  Press now;
+  for (std::size_t k = 0; k < tree_->elements.compliances.size(); ++k) {
+    const ComplianceLaw& law = tree_->elements.compliances[k].law;
+    if (!press(k, v, now) || now.acts.normal == 0.0) continue;
+    const Vec3 n = now.touch.normal, t1 = any_orthogonal(n), t2 = n.cross(t1);
+    const double along = n.dot(now.velocity), slope = compliance_slope(law, now.touch.gap);
+    const double normal = damping * std::max(0.0, law.damping * now.acts.elastic) +
+                          stiffness * std::max(0.0, slope * (1.0 - law.damping * along));
+    const bool rubs = law.friction > 0.0;
+    const int columns = rubs ? kCompliantColumns : 1;
+    J.middleCols(column, columns) = rows_.leftCols(columns);
+    auto block = C.block(column, column, columns, columns);
+    block(0, 0) = normal;
+    if (rubs) {
+      const Eigen::Vector2d slip(t1.dot(now.velocity), t2.dot(now.velocity));
+      const double r = std::sqrt(slip.squaredNorm() + law.slip_speed * law.slip_speed);
+      const double weight = damping * std::max(0.0, law.friction * now.acts.normal) / r;
+      block.bottomRightCorner(2, 2) = weight * (Eigen::Matrix2d::Identity() - slip * slip.transpose() / (r * r));
+      block.bottomLeftCorner(2, 1) = -law.friction * normal / r * slip;
+    }
+    column += columns;
+  }
+  return column;
+}
+
 // A spring pulls where it is longer than at rest and where spring and damper together pull: where the lesser of the
 // two, as lengths, is positive. The first becomes zero on the way out and the second, at the latest, on the way back.
-void ForceField::slackness(const std::vector<int>& springs, const VecCRef& q, const VecCRef& v,
+void ForceField::slackness(const std::vector<int>& laws, const VecCRef& q, const VecCRef& v,
                            std::vector<Slackness>& found) {
   place(*tree_, q, at_);
   found.clear();
-  for (const int k : springs) {
-    const PathSpring& spring = tree_->elements.path_springs[static_cast<std::size_t>(k)];
+  const std::size_t springs = tree_->elements.path_springs.size();
+  for (const int number : laws) {
+    const auto k = static_cast<std::size_t>(number);
+    if (k >= springs) {
+      found.push_back(openness(tree_->elements.compliances[k - springs], v));
+      continue;
+    }
+    const PathSpring& spring = tree_->elements.path_springs[k];
     const double l = length(spring, row_), over = l - spring.rest_length;
     double pull = over, moved = 0.0;
     if (spring.damping > 0.0) {
@@ -103,16 +204,34 @@ void ForceField::slackness(const std::vector<int>& springs, const VecCRef& q, co
   }
 }
 
+// A contact opens where the shapes come apart, or where its damper pulls as much as its spring pushes.
+Slackness ForceField::openness(const CompliantContact& c, const VecCRef& v) {
+  const Touch<double> touch = touch_of(c, at_);
+  const double size = touch_size(c, touch);
+  double value = -touch.gap;
+  if (c.law.damping > 0.0) {
+    row_.setZero();
+    add_point_row(*tree_, at_, c.body_a, touch.point, touch.normal, 1.0, row_);
+    add_point_row(*tree_, at_, c.body_b, touch.point, touch.normal, -1.0, row_);
+    value = std::min(value, size * (1.0 - c.law.damping * row_.dot(v)));
+  }
+  return {value, size};
+}
+
 double ForceField::potential(const VecCRef& q) {
   if (!any_) return 0.0;
   const Elements& e = tree_->elements;
   double total = 0.0;
   for (const JointPotential& p : e.joint_potentials)
     total += Polynomial(p, q[tree_->joints[p.joint].iq] - p.rest).value;
-  if (!e.path_springs.empty()) place(*tree_, q, at_);
+  if (!e.path_springs.empty() || !e.compliances.empty()) place(*tree_, q, at_);
   for (const PathSpring& spring : e.path_springs) {
     const double l = length(spring, row_), x = l - spring.rest_length;
     if (in_reach(spring, l)) total += 0.5 * spring.stiffness * x * x;
+  }
+  for (const CompliantContact& c : e.compliances) {
+    if (least_gap(*c.shapes, touch_pose(at_, c.body_a), touch_pose(at_, c.body_b)) > 0.0) continue;
+    total += compliance_energy(c.law, touch_of(c, at_).gap);
   }
   if (!e.potentials.empty()) q_ = q;
   for (const UserPotential& p : e.potentials) total += p.value(q_);
@@ -126,7 +245,11 @@ void ForceField::add_gradient(const VecCRef& q, VecRef dV) {
     const Joint& joint = tree_->joints[p.joint];
     dV[joint.iv] += Polynomial(p, q[joint.iq] - p.rest).slope;
   }
-  if (!e.path_springs.empty()) place(*tree_, q, at_);
+  if (!e.path_springs.empty() || !e.compliances.empty()) place(*tree_, q, at_);
+  for (std::size_t k = 0; k < e.compliances.size(); ++k) {
+    const double over = depth(static_cast<int>(e.path_springs.size() + k), q, row_);
+    if (over > 0.0) dV -= e.compliances[k].law.stiffness * std::pow(over, e.compliances[k].law.exponent) * row_;
+  }
   for (const PathSpring& spring : e.path_springs) {
     const double l = length(spring, row_);
     if (in_reach(spring, l)) dV += spring.stiffness * (l - spring.rest_length) * row_;
@@ -205,7 +328,7 @@ void ForceField::add(double t, const VecCRef& q, const VecCRef& v, VecRef f, Vec
     f[joint.iv] -= slope;
     size[joint.iv] += std::abs(slope);
   }
-  if (!e.path_springs.empty() || !e.wrenches.empty()) place(*tree_, q, at_);
+  if (!e.path_springs.empty() || !e.compliances.empty() || !e.wrenches.empty()) place(*tree_, q, at_);
   for (std::size_t k = 0; k < e.path_springs.size(); ++k) {
     const double l = length(e.path_springs[k], row_), speed = row_.dot(v);
     double elastic = 0.0;
@@ -214,6 +337,7 @@ void ForceField::add(double t, const VecCRef& q, const VecCRef& v, VecRef f, Vec
     size += std::abs(pull) * row_.cwiseAbs();
     dissipation_ += (pull - elastic) * speed;
   }
+  if (!e.compliances.empty()) add_compliances(v, f, size);
   add_wrenches(t, v, f, size);
   add_users(t, q, v, f, size);
 }
@@ -227,8 +351,8 @@ void ForceField::add_matrix(const MatX& public_matrix, const VecCRef& q, double 
   C += factor * B.transpose();
 }
 
-void ForceField::newton_terms(double t, const VecCRef& q, const VecCRef& v, double damping, double stiffness,
-                              Eigen::Ref<MatX> J, Eigen::Ref<MatX> C) {
+int ForceField::newton_terms(double t, const VecCRef& q, const VecCRef& v, double damping, double stiffness,
+                             Eigen::Ref<MatX> J, Eigen::Ref<MatX> C) {
   const Elements& e = tree_->elements;
   J.setZero();
   C.setZero();
@@ -239,7 +363,7 @@ void ForceField::newton_terms(double t, const VecCRef& q, const VecCRef& v, doub
     C(column, column) = stiffness * std::max(0.0, Polynomial(p, q[joint.iq] - p.rest).curvature);
     ++column;
   }
-  if (!e.path_springs.empty()) place(*tree_, q, at_);
+  if (!e.path_springs.empty() || !e.compliances.empty()) place(*tree_, q, at_);
   for (std::size_t k = 0; k < e.path_springs.size(); ++k) {
     const PathSpring& spring = e.path_springs[k];
     const double l = length(spring, J.col(column));
@@ -247,8 +371,16 @@ void ForceField::newton_terms(double t, const VecCRef& q, const VecCRef& v, doub
     if (acts) C(column, column) = damping * spring.damping + stiffness * spring.stiffness;
     ++column;
   }
-  if (user_column_ < 0) return;
   const int n = tree_->nv;
+  if (!e.compliances.empty()) {
+    const int first = user_column_ < 0 ? column : column + n;
+    const int last = compliant_terms(v, damping, stiffness, first, J, C);
+    if (user_column_ < 0) return last;
+    column = last;
+  } else {
+    column = stiff_columns_;
+  }
+  if (user_column_ < 0) return column;
   J.middleCols(user_column_, n).setIdentity();
   auto block = C.block(user_column_, user_column_, n, n);
   q_ = q;
@@ -265,6 +397,7 @@ void ForceField::newton_terms(double t, const VecCRef& q, const VecCRef& v, doub
     user.hessian(q_, first_);
     add_matrix(first_, q, stiffness, block);
   }
+  return column;
 }
 
 double total_potential(const Tree& tree, ForceField& field, const Placements& at, const VecCRef& q) {

@@ -6,8 +6,10 @@
 
 namespace contactvi {
 
-// How far a spring that only pulls is from going slack, or beyond it if negative; its forces are not zero where this is
-// positive. In units of its size, the sizes of its terms [m].
+struct Press;  // model/compliance.hpp
+
+// How far a spring that only pulls is from going slack, or a compliant contact from opening, or beyond it if negative;
+// its forces are not zero where this is positive. In units of its size, the sizes of its terms [m].
 struct Slackness {
   double value, size;
 };
@@ -17,14 +19,18 @@ class ForceField {
   explicit ForceField(const Tree& tree);
 
   bool any() const { return any_; }
-  // Number of columns of the Newton terms.
+  // Number of columns of the Newton terms, at most.
   int stiff_columns() const { return stiff_columns_; }
 
   // From now on each spring that only pulls has the law of one branch, wherever its length is: 1 pulls, 0 is slack; by
-  // the numbers of the springs. Null: each has the branch of its length and speed. The vector must live on.
+  // the numbers of the springs, and behind them of the compliant contacts, which press or are open. Null: each has the
+  // branch of its length and speed. The vector must live on.
   void hold_branches(const std::vector<char>* pulls) { pulls_ = pulls; }
-  // Sets, for the springs with these numbers, which have to be ones that only pull, how far each is from going slack.
-  void slackness(const std::vector<int>& springs, const VecCRef& q, const VecCRef& v, std::vector<Slackness>& found);
+  // Sets, for the springs with these numbers, which have to be ones that only pull, and for compliant contacts, how far
+  // each is from going slack.
+  void slackness(const std::vector<int>& laws, const VecCRef& q, const VecCRef& v, std::vector<Slackness>& found);
+  // Sets of a compliant contact, by its number among these laws, the gradient of its gap (nv,). Returns its depth [m].
+  double depth(int law, const VecCRef& q, VecRef gradient);
 
   // Potential energy of the elements [J].
   double potential(const VecCRef& q);
@@ -37,13 +43,20 @@ class ForceField {
   double input() const { return input_; }
   double dissipation() const { return dissipation_; }
   // J (nv, stiff_columns) and C (stiff_columns, stiff_columns) with J C J^T ~ -(damping df/dv + stiffness df/dq), the
-  // factors `damping` [s] and `stiffness` [s^2] being those of the step.
-  void newton_terms(double t, const VecCRef& q, const VecCRef& v, double damping, double stiffness, Eigen::Ref<MatX> J,
-                    Eigen::Ref<MatX> C);
+  // factors `damping` [s] and `stiffness` [s^2] being those of the step. Returns how many columns come before those
+  // that are zero.
+  int newton_terms(double t, const VecCRef& q, const VecCRef& v, double damping, double stiffness, Eigen::Ref<MatX> J,
+                   Eigen::Ref<MatX> C);
 
  private:
   double length(const PathSpring& spring, VecRef gradient) const;
   double tension(std::size_t k, double length, double speed, double& elastic) const;
+  Slackness openness(const CompliantContact& contact, const VecCRef& v);
+  // How a compliant contact presses at the placed configuration, in the branch that it has. False: not at all.
+  bool press(std::size_t k, const VecCRef& v, Press& press);
+  void add_compliances(const VecCRef& v, VecRef f, VecRef size);
+  int compliant_terms(const VecCRef& v, double damping, double stiffness, int column, Eigen::Ref<MatX> J,
+                      Eigen::Ref<MatX> C);
   void add_wrenches(double t, const VecCRef& v, VecRef f, VecRef size);
   void add_users(double t, const VecCRef& q, const VecCRef& v, VecRef f, VecRef size);
   void add_matrix(const MatX& public_matrix, const VecCRef& q, double factor, Eigen::Ref<MatX> C);
@@ -54,6 +67,7 @@ class ForceField {
   int stiff_columns_ = 0, user_column_ = -1;  // first column of the users' derivatives
   VecX row_, q_, v_, force_, q_side_, v_side_;
   MatX first_, second_;
+  MatX rows_;  // of a compliant contact: normal and tangents, (nv, 3)
   double input_ = 0, dissipation_ = 0;
   const std::vector<char>* pulls_ = nullptr;
 };

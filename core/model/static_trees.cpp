@@ -88,6 +88,13 @@ void restrict_forces(const Elements& whole, const NewNumbers& now, Elements& par
     for (BodyFrame& point : spring.points) point.body = now.of_joint(point.body);
     if (any) part.path_springs.push_back(std::move(spring));
   }
+  for (CompliantContact contact : whole.compliances) {
+    const int a = now.of_joint(contact.body_a), b = now.of_joint(contact.body_b);
+    if (a < 0 && b < 0) continue;
+    contact.body_a = a;
+    contact.body_b = b;
+    part.compliances.push_back(std::move(contact));
+  }
   for (AppliedWrench wrench : whole.wrenches) {
     if (!inside(now, wrench.at)) continue;
     wrench.at.body = now.of_joint(wrench.at.body);
@@ -187,6 +194,7 @@ StaticTrees::StaticTrees(const Scene& scene) {
       if (first < 0) first = point.body;
     }
   }
+  for (const CompliantContact& contact : e.compliances) sets.join(contact.body_a, contact.body_b);
   if (!e.forces.empty() || !e.potentials.empty())
     for (std::size_t j = 0; j < tree.joints.size(); ++j) sets.join(0, static_cast<int>(j));
   of_joint_.assign(tree.joints.size(), -1);

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "run/step_control.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -13,11 +15,28 @@ constexpr int kAtOneInstant = 2;
 // Changes in a control step after which all branches are held. Ropes and actuators have inertia to move between two
 // changes; no run has been seen with more than some ten in a step that resolves its motion.
 constexpr long kMostChanges = 1000;
+constexpr double kRounding = 1e-16;
+// The force of a contact that opens or closes grows like t^n with the time t from there. A step of s stages from t on
+// of length h leaves out some h^(2 s + 1) t^(n - 2 s), so that steps of the length h (t / T)^p with
+// p = (2 s - n) / (2 s + 1) all leave out as much as those in the middle of the contact, whose duration is about 2 T.
+double graded(double h, double t, double T, double n, int stages) {
+  const double s2 = 2.0 * stages, p = (s2 - n) / (s2 + 1.0);
+  if (!(h < T) || !(p > 0.0)) return h;
+  // The first step begins at t = 0: it is as long as what lies before it. What it leaves out of the motion, some
+  // (first / T)^(n + 1), is no less than rounding.
+  const double first = T * std::max(std::pow(h / T, 1.0 / (1.0 - p)), std::pow(kRounding, 1.0 / (n + 1.0)));
+  return t < first ? first : std::min(h, h * std::pow(t / T, p));
+}
 
 }  // namespace
 
 Branches::Branches(const Tree& tree, Actuation& actuation, Integrator& integrator)
-    : tree_(&tree), actuation_(&actuation), integrator_(&integrator), pulls_(tree.elements.path_springs.size(), 0) {
+    : tree_(&tree),
+      actuation_(&actuation),
+      integrator_(&integrator),
+      pulls_(tree.elements.path_springs.size() + tree.elements.compliances.size(), 0),
+      row_(tree.nv),
+      answer_(tree.nv) {
   for (std::size_t k = 0; k < tree.elements.path_springs.size(); ++k) {
     const PathSpring& spring = tree.elements.path_springs[k];
     if (!spring.tension_only || (spring.stiffness == 0.0 && spring.damping == 0.0)) continue;
@@ -25,6 +44,15 @@ Branches::Branches(const Tree& tree, Actuation& actuation, Integrator& integrato
     Law law;
     law.rope = static_cast<int>(k);
     laws_.push_back(law);
+  }
+  for (std::size_t k = 0; k < tree.elements.compliances.size(); ++k) {
+    const ComplianceLaw& compliance = tree.elements.compliances[k].law;
+    if (compliance.stiffness == 0.0) continue;
+    Law law;
+    law.rope = static_cast<int>(tree.elements.path_springs.size() + k);
+    ropes_.push_back(law.rope);
+    laws_.push_back(law);
+    if (compliance.exponent != std::floor(compliance.exponent)) broken_.push_back(law.rope);
   }
   for (const int d : actuation.limited_dofs()) {
     Law law;
@@ -60,6 +88,41 @@ void Branches::begin_step(const VecX& q0, const VecX& v0, bool keep) {
                         (actuation_->is_driven(law.dof) || std::isfinite(actuation_->speed_limit(law.dof)));
     if (law.rope >= 0 || drives) active_.push_back(static_cast<int>(k));
   }
+}
+
+bool Branches::presses_nonlinearly() const {
+  const auto& contacts = tree_->elements.compliances;
+  for (std::size_t k = 0; k < contacts.size(); ++k) {
+    const ComplianceLaw& law = contacts[k].law;
+    const bool linear = law.exponent == 1.0 && law.damping == 0.0;
+    if (!linear && pulls_[tree_->elements.path_springs.size() + k] != 0) return true;
+  }
+  return false;
+}
+
+// Of a contact with the speed w, the mass m along its normal and the depth d, E = m w^2/2 + k d^(n+1)/(n+1) tells how
+// deep and how fast it comes, D and W, and so its time T = D / W; from its opening it is t = d / |w|.
+double Branches::limit(double h, double nominal, const VecX& q, const VecX& v) {
+  double longest = nominal;
+  bool placed = false;
+  for (const int k : broken_) {
+    if (pulls_[static_cast<std::size_t>(k)] == 0) continue;
+    const ComplianceLaw& law =
+        tree_->elements.compliances[static_cast<std::size_t>(k) - tree_->elements.path_springs.size()].law;
+    const double depth = std::max(0.0, integrator_->field().depth(k, q, row_)), speed = std::abs(row_.dot(v));
+    answer_ = row_;
+    if (!placed) integrator_->place_node(q);
+    placed = true;
+    integrator_->solve_mass(answer_);
+    const double mass = 1.0 / row_.dot(answer_), n = law.exponent;
+    const double energy = 0.5 * mass * speed * speed + law.stiffness * std::pow(depth, n + 1.0) / (n + 1.0);
+    const double deepest = std::pow(energy * (n + 1.0) / law.stiffness, 1.0 / (n + 1.0));
+    const double T = deepest / std::sqrt(2.0 * energy / mass);
+    if (!std::isfinite(T)) continue;
+    const double t = speed > 0.0 ? depth / speed : T;
+    longest = std::min(longest, graded(nominal, t, T, n, integrator_->stages()));
+  }
+  return longest < h ? step_length_within(longest, nominal) : h;
 }
 
 void Branches::evaluate(double at, const VecX& q, const VecX& v, VecRef values) {
@@ -126,7 +189,9 @@ bool Branches::change(int function, double t, const VecX& q, const VecX& v, bool
     char& pulls = pulls_[static_cast<std::size_t>(law.rope)];
     pulls = pulls == 0 ? 1 : 0;
     // On the way back its pull comes to zero and grows from zero; on the way out its damper acts at once.
-    jumped_ = tree_->elements.path_springs[static_cast<std::size_t>(law.rope)].damping > 0.0 && pulls != 0;
+    const auto k = static_cast<std::size_t>(law.rope);
+    const bool is_spring = k < tree_->elements.path_springs.size();  // the force of a contact grows from zero as well
+    jumped_ = is_spring && tree_->elements.path_springs[k].damping > 0.0 && pulls != 0;
   } else {
     Drive next;
     drive_value(law.dof, t, q, v, next);

@@ -1,4 +1,5 @@
-// The branches of the piecewise force laws in smooth steps: which ropes pull, which actuators are at a limit.
+// The branches of the piecewise force laws in smooth steps: which ropes pull, which compliant contacts press, which
+// actuators are at a limit.
 //
 // In a smooth step each law is that of one branch, wherever the step goes; where a branch ends the step ends
 // (event/switch_finder.hpp). Other steps choose branches at each stage, or for the whole step.
@@ -29,6 +30,11 @@ class Branches final : public SwitchFunctions {
   // The next smooth step starts there. keep: with the branches of the one before, which has ended where one of them
   // did; else ropes take those of the state, as the actuators have (Actuation::limit).
   void begin_step(const VecX& q0, const VecX& v0, bool keep);
+  // The length of the step that begins there, at most h: shorter near the opening of a compliant contact whose force
+  // grows with a broken power of its depth, which no polynomial follows [s]. A nominal length by a power of two.
+  double limit(double h, double nominal, const VecX& q, const VecX& v);
+  // Whether a compliant contact presses in the step whose law no method keeps the energy of: it is not linear.
+  bool presses_nonlinearly() const;
   // It begins at a time and has this length [s].
   void take_step(double t, double h) {
     t0_ = t;
@@ -47,7 +53,7 @@ class Branches final : public SwitchFunctions {
   bool jumped() const { return jumped_; }
 
  private:
-  // Of a law: a rope (its number among the springs) or a joint (its dof).
+  // Of a law: a rope (its number among the springs), a compliant contact (behind all springs) or a joint (its dof).
   struct Law {
     int rope = -1, dof = -1;
     int without_motion = 0;  // changes at one instant
@@ -59,11 +65,12 @@ class Branches final : public SwitchFunctions {
   Actuation* actuation_;
   Integrator* integrator_;
   std::vector<int> ropes_;
-  std::vector<char> pulls_;  // per spring
+  std::vector<char> pulls_;  // per spring, and behind them per compliant contact
+  std::vector<int> broken_;  // compliant contacts whose exponent is no whole number
   std::vector<Law> laws_;
   std::vector<int> active_;  // laws that have a switch function in the step
   std::vector<Slackness> slackness_;
-  VecX q0_;
+  VecX q0_, row_, answer_;
   double t0_ = 0.0, h_ = 0.0;
   long changes_ = 0;  // in the control step
   bool switched_ = false, jumped_ = false;

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "impact/impact_maps.hpp"
+#include "model/compliance.hpp"
 #include "model/coupling.hpp"
 #include "run/state_range.hpp"
 
@@ -16,13 +17,27 @@ constexpr int kMostHalvings = 4000;   // of the free steps within one interval
 constexpr long kReported = 64;        // steps between two reports of progress
 // Of an interval: what is left of it after a smooth step that ends within is no step of its own.
 constexpr double kRounding = 1e-13;
+// Of the energies in a step that a nonlinear compliant contact may change, or the step is halved. One that resolves the
+// contact by ten steps stays far below.
+constexpr double kContactEnergy = 0.01;
+constexpr double kEnergyRounding = 1e-12;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+// Of all compliant contacts [J].
+double elastic_energy(const Tree& tree, const VecX& q) {
+  Placements at(tree);
+  place(tree, q, at);
+  double sum = 0.0;
+  for (const CompliantContact& c : tree.elements.compliances) sum += compliance_energy(c.law, touch_of(c, at).gap);
+  return sum;
+}
 
 // Whether some force dissipates energy.
 bool dissipates(const Tree& tree) {
   const Elements& e = tree.elements;
   bool any = tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) any |= spring.damping > 0.0;
+  for (const CompliantContact& c : e.compliances) any |= c.law.damping > 0.0 || c.law.friction > 0.0;
   return any;
 }
 
@@ -362,14 +377,19 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   StepControl& control = state_.control;
   const double at = interval.start + interval.done;
   const double longest = control.longest_free();
-  const bool halves = longest < interval.remaining * (1.0 - 1e-9);
+  bool halves = longest < interval.remaining * (1.0 - 1e-9);
   double h = halves ? longest : interval.remaining;
   const bool holds = has_phase();
   const bool touches = !contact_step_.contacts().empty();
   const bool last_try = !holds && (truncation_.bound > 0.0 || h < StepControl::kShortest * options_.dt ||
                                    control.halved - halved >= kMostHalvings);
   integrator_.set_time(at);
-  if (!branches_.none() && !begin_branches(interval)) return false;
+  if (!branches_.none()) {
+    if (!begin_branches(interval)) return false;
+    const double limit = branches_.limit(h, interval.length, state_.q, v_);
+    halves |= limit < h;
+    h = limit;
+  }
   if (holds) {
     if (!integrator_.node_velocity(state_.q, state_.p, v_) ||
         !modes_.begin_step(state_.q, v_, at, interval.tau, recording))
@@ -412,6 +432,9 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     }
     if (holds && !modes_.fits(q1_, false)) return reject();
   }
+  if (!branches_.none() && truncation_.bound == 0.0 && !last_try && branches_.presses_nonlinearly() &&
+      !contacts_keep_energy())
+    return reject();
   const bool shorter = halves || switches;
   if (holds)
     record_phase(at, truncation_.bound > 0.0 ? truncation_.length : options_.dt, StepKind::kPersistent, recording);
@@ -474,8 +497,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   return true;
 }
 
-// Of a long smooth step just solved, from the state to q1_, p1_: whether it keeps the energy but for the work done.
-bool Simulator::energy_is_kept() {
+Simulator::StepEnergy Simulator::step_energy() {
   const WorkTally& done = state_.work.tally();
   const double work = done.input + done.driven - done.damping - done.joint_friction;
   const auto kinetic = [this](const VecX& q, const VecX& p) {
@@ -483,8 +505,23 @@ bool Simulator::energy_is_kept() {
   };
   const double V0 = potential(state_.q), V1 = potential(q1_), T0 = kinetic(state_.q, state_.p);
   const double step_work = integrator_.work() + modes_.friction_work();
-  const double before = T0 + V0 - work, after = kinetic(q1_, p1_) + V1 - work - step_work;
-  return keeps_energy(state_.watch, before, after, T0, V1 - V0);
+  return {T0 + V0 - work, kinetic(q1_, p1_) + V1 - work - step_work, T0, V1 - V0};
+}
+
+// Of a long smooth step just solved: whether it keeps the energy but for the work done.
+bool Simulator::energy_is_kept() {
+  const StepEnergy e = step_energy();
+  return keeps_energy(state_.watch, e.before, e.after, e.kinetic, e.rise);
+}
+
+// Whether compliant contacts are resolved by the step, or by its part up to a switch: one that passes a contact in a
+// step or two keeps the energy of a linear law, and of no other one. What rests has no motion to compare with, but
+// elastic energy.
+bool Simulator::contacts_keep_energy() {
+  const StepEnergy e = step_energy();
+  const double elastic = elastic_energy(scene_->tree, state_.q) + elastic_energy(scene_->tree, q1_);
+  const double scale = std::max({e.kinetic, std::abs(e.rise), elastic});
+  return std::abs(e.after - e.before) <= kContactEnergy * scale + kEnergyRounding * std::abs(e.before);
 }
 
 // The part of a smooth step of length h up to the event that was found in it, and the event. shorter: the step does not

@@ -19,7 +19,7 @@ bool does_work(const Tree& tree, const RecordedRun& run) {
   const Elements& e = tree.elements;
   const bool inputs = run.tau.size() > 0 && !run.tau.isZero(0);
   return tree.has_damping || !e.friction_dofs.empty() || inputs || e.servo_kp.size() > 0 || !e.wrenches.empty() ||
-         !e.forces.empty() || !e.path_springs.empty();
+         !e.forces.empty() || !e.path_springs.empty() || !e.compliances.empty();
 }
 
 // Of the actuator of a joint; infinite: none.

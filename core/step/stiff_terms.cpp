@@ -12,24 +12,25 @@ StiffTerms::StiffTerms(const Tree& tree, const Stages& stages)
     terms.J.resize(tree.nv, columns_);
     terms.Z.resize(tree.nv, columns_);
     terms.C.resize(columns_, columns_);
-    terms.small.resize(columns_, columns_);
   }
   kept_.resize(static_cast<std::size_t>(tree.nv) * stages.padded());
 }
 
 void StiffTerms::factor(Stages& stages, const VecCRef& q0) {
   const int S = stages.padded(), s = stages.count(), n = tree_->nv;
+  int used = 0;
   active_ = false;
   for (int i = 0; i < s; ++i) {
     stages.configuration(q0, i, q_);
     for (int d = 0; d < n; ++d) v_[d] = stages.v()[d * S + i];
     const auto [damping, stiffness] = stages.shares(i);
-    stages.field().newton_terms(stages.time(i), q_, v_, damping, stiffness, at_[i].J, at_[i].C);
+    at_[i].used = stages.field().newton_terms(stages.time(i), q_, v_, damping, stiffness, at_[i].J, at_[i].C);
+    used = std::max(used, at_[i].used);
     active_ |= !at_[i].C.isZero(0) && at_[i].C.allFinite() && at_[i].J.allFinite();
   }
   if (!active_) return;
   std::copy_n(stages.dv(), kept_.size(), kept_.data());
-  for (int k = 0; k < columns_; ++k) {
+  for (int k = 0; k < used; ++k) {
     for (int d = 0; d < n; ++d)
       for (int i = 0; i < S; ++i) stages.dv()[d * S + i] = at_[std::min(i, s - 1)].J(d, k);
     stages.solve();
@@ -38,8 +39,9 @@ void StiffTerms::factor(Stages& stages, const VecCRef& q0) {
   }
   std::copy_n(kept_.data(), kept_.size(), stages.dv());
   for (Terms& terms : at_) {
-    terms.small.noalias() = terms.J.transpose() * terms.Z;
-    terms.small = terms.C * terms.small;
+    if (terms.used == 0) continue;
+    terms.small.noalias() = terms.Jt() * terms.Z.leftCols(terms.used);
+    terms.small = terms.factors() * terms.small;
     terms.small.diagonal().array() += 1.0;
     terms.lu.compute(terms.small);
   }
@@ -50,8 +52,9 @@ void StiffTerms::correct(Stages& stages) {
   const int S = stages.padded(), n = tree_->nv;
   for (int i = 0; i < stages.count(); ++i) {
     const Terms& terms = at_[i];
+    if (terms.used == 0) continue;
     for (int d = 0; d < n; ++d) x_[d] = stages.dv()[d * S + i];
-    const VecX change = terms.Z * terms.lu.solve(terms.C * (terms.J.transpose() * x_));
+    const VecX change = terms.Z.leftCols(terms.used) * terms.lu.solve(terms.factors() * (terms.Jt() * x_));
     if (!change.allFinite()) continue;  // the iteration that made it fails
     double error = 0.0;
     for (int d = 0; d < n; ++d) {
@@ -69,11 +72,12 @@ void StiffTerms::correct_solution(Stages& stages, bool transposed) {
   const int S = stages.padded(), s = stages.count(), n = tree_->nv;
   for (int i = 0; i < s; ++i) {
     const Terms& terms = at_[i];
+    if (terms.used == 0) continue;
     for (int d = 0; d < n; ++d) x_[d] = stages.dv()[d * S + i];
-    const VecX y = terms.J.transpose() * x_;
-    VecX z = transposed ? VecX(terms.lu.transpose().solve(y)) : VecX(terms.C * y);
-    z = transposed ? VecX(terms.C.transpose() * z) : VecX(terms.lu.solve(z));
-    const VecX change = terms.Z * z;
+    const VecX y = terms.Jt() * x_;
+    VecX z = transposed ? VecX(terms.lu.transpose().solve(y)) : VecX(terms.factors() * y);
+    z = transposed ? VecX(terms.factors().transpose() * z) : VecX(terms.lu.solve(z));
+    const VecX change = terms.Z.leftCols(terms.used) * z;
     if (!change.allFinite()) continue;  // the iteration that made it fails
     for (int d = 0; d < n; ++d)
       for (int k = i; k < (i + 1 == s ? S : i + 1); ++k) stages.dv()[d * S + k] -= change[d];
@@ -83,7 +87,7 @@ void StiffTerms::correct_solution(Stages& stages, bool transposed) {
 void StiffTerms::correct(Eigen::Ref<MatX> X) const {
   if (!active_) return;
   const Terms& terms = at_.front();
-  X -= terms.Z * terms.lu.solve(terms.C * (terms.J.transpose() * X));
+  X -= terms.Z.leftCols(terms.used) * terms.lu.solve(terms.factors() * (terms.Jt() * X));
 }
 
 }  // namespace contactvi

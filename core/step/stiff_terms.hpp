@@ -29,6 +29,9 @@ class StiffTerms {
  private:
   struct Terms {
     MatX J, C, Z, small;
+    int used = 0;  // columns that are not all zero; small and lu are of these
+    auto Jt() const { return J.leftCols(used).transpose(); }
+    auto factors() const { return C.topLeftCorner(used, used); }
     Eigen::PartialPivLU<MatX> lu;  // of 1 + C J^T Z
   };
   const Tree* tree_;
