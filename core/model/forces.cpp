@@ -150,7 +150,8 @@ void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
 }
 
 // In the directions of the rows, n and both tangents, with the slip speed s, its vector v_t and r = sqrt(s^2 + slow^2):
-// f_n = k d^e (1 - c v_n) and f_t = -mu f_n v_t / r. Without the change of the directions.
+// f_n = k d^e (1 - c v_n) and f_t = -mu f_n v_t / r. Without the change of the directions, and of r: with it the
+// iterations overshoot from slip to the other side, without it they contract from anywhere (Kacanov's method).
 int ForceField::compliant_terms(const VecCRef& v, double damping, double stiffness, int column, Eigen::Ref<MatX> J,
                                 Eigen::Ref<MatX> C) {
   Press now;
@@ -170,7 +171,7 @@ int ForceField::compliant_terms(const VecCRef& v, double damping, double stiffne
       const Eigen::Vector2d slip(t1.dot(now.velocity), t2.dot(now.velocity));
       const double r = std::sqrt(slip.squaredNorm() + law.slip_speed * law.slip_speed);
       const double weight = damping * std::max(0.0, law.friction * now.acts.normal) / r;
-      block.bottomRightCorner(2, 2) = weight * (Eigen::Matrix2d::Identity() - slip * slip.transpose() / (r * r));
+      block.bottomRightCorner(2, 2) = weight * Eigen::Matrix2d::Identity();
       block.bottomLeftCorner(2, 1) = -law.friction * normal / r * slip;
     }
     column += columns;
@@ -206,6 +207,12 @@ void ForceField::slackness(const std::vector<int>& laws, const VecCRef& q, const
 
 // A contact opens where the shapes come apart, or where its damper pulls as much as its spring pushes.
 Slackness ForceField::openness(const CompliantContact& c, const VecCRef& v) {
+  if (c.shapes->b.kind == TouchingShape::Kind::kPolytope) {
+    // While it is far from a shape with many faces these need not be looked at. What jumps there is positive before
+    // and after.
+    const double least = least_gap(*c.shapes, touch_pose(at_, c.body_a), touch_pose(at_, c.body_b));
+    if (least > c.shapes->a.bound) return {-least, c.shapes->a.bound + c.shapes->b.bound + least};
+  }
   const Touch<double> touch = touch_of(c, at_);
   const double size = touch_size(c, touch);
   double value = -touch.gap;

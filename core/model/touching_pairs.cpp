@@ -142,8 +142,8 @@ std::vector<TouchingPair> touching_pairs(const Scene& scene, int a, int b, const
         "a ball against a ball, capsule, box, cylinder, hull or halfspace, two capsules, or a ball, capsule, "
         "ellipsoid, box or hull against a halfspace",
         "other shapes",
-        "Put balls where the softer one touches, and let the pair of the two shapes be untested "
-        "(scene.disable_pair)");
+        "Let this pair stay rigid: scene.set_compliance(a, b, stiffness=None); or put balls where the softer shape "
+        "touches");
   const TouchingShape &x = straight ? first : second, &y = straight ? second : first;
   std::vector<TouchingShape> sides;
   if (y.kind == Kind::kPlane) sides = corners(x);

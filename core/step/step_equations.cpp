@@ -89,7 +89,19 @@ void StepEquations::iterate_stages(int flags) {
   const bool factor = (flags & kLaneFactor) != 0;
   stages_.iterate(flags);
   if (stiff_.any()) {
-    if (factor) stiff_.factor(stages_, q0_);
+    const std::vector<CompliantContact>& contacts = tree_->elements.compliances;
+    const auto rubs = [](const CompliantContact& c) { return c.law.friction > 0.0; };
+    if (std::none_of(contacts.begin(), contacts.end(), rubs)) {
+      if (factor) stiff_.factor(stages_, q0_);
+    } else {
+      // Friction of compliant contacts changes within their slip speed, which is little beside a correction without it:
+      // its derivatives are those of the velocities before that, in each iteration anew.
+      const std::size_t count = static_cast<std::size_t>(tree_->nv) * static_cast<std::size_t>(stages_.padded());
+      const std::vector<double> corrected(stages_.v(), stages_.v() + count);
+      for (std::size_t k = 0; k < count; ++k) stages_.v()[k] -= stages_.dv()[k];
+      stiff_.factor(stages_, q0_);
+      std::copy(corrected.begin(), corrected.end(), stages_.v());
+    }
     stiff_.correct(stages_);
   }
   count_iteration(flags);
