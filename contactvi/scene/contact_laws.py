@@ -183,9 +183,7 @@ def checked_setting(name: str, value: Any) -> Any:
             return value
         case "limit_energy":
             return flag(name, value)
-        case "tangential_restitution":
-            return real(name, value, 0.0, 1.0)
-    raise KeyError(name)
+    return real(name, value, 0.0, 1.0)  # tangential_restitution
 
 
 def checked_contact(
