@@ -96,7 +96,7 @@ bool StepTangent::unit_changes(const Eigen::Ref<const MatX>& W, MatX& Q, MatX& P
 void StepTangent::configuration_change(int stage, VecRef dq) const {
   const int S = stages_.padded();
   for (int d = 0; d < tree_->nv; ++d)
-    dq[d] = shadow(stages_.X_)[d * S + stage] + (direction_->q.size() > 0 ? direction_->q[d] : 0.0);
+    dq[d] = shadow(stages_.X_)[d * S + stage] + (direction_.q.size() > 0 ? direction_.q[d] : 0.0);
   for (const Joint& joint : tree_->joints)
     if (joint.type == JointType::kSpherical) dq.segment<3>(joint.iv) = ball_turn(joint, stage);
 }
@@ -105,7 +105,7 @@ void StepTangent::configuration_change(int stage, VecRef dq) const {
 double StepTangent::energy_change() const {
   const Stages& s = stages_;
   const int S = s.padded();
-  const VecX& q = direction_->q;
+  const VecX& q = direction_.q;
   double total = 0.0;
   for (int i = 0; i < s.count(); ++i) {
     double change = 0.0;
@@ -125,7 +125,7 @@ double StepTangent::energy_change() const {
 }
 
 void StepTangent::set_direction(const StepDirection& direction) {
-  direction_ = &direction;
+  direction_ = direction;
   Stages& s = stages_;
   const int n = tree_->nv, S = s.padded();
   std::fill_n(s.memory_.data() + s.work_.shadow, s.work_.shadow, 0.0);
@@ -202,7 +202,7 @@ bool StepTangent::iterate() {
 // With the matrix of the equations, made column by column.
 bool StepTangent::solve_by_matrix() {
   const int S = stages_.padded(), s = stages_.count(), n = tree_->nv, size = n * s;
-  const StepDirection* wanted = direction_;
+  const StepDirection wanted = direction_;
   // The displacements of spherical joints follow the velocities by a contraction of their own.
   const auto settle = [&] {
     for (int k = 0; k < (step_.model().lanes.balls > 0 ? kTurnIterations : 1); ++k) evaluate();
@@ -220,7 +220,7 @@ bool StepTangent::solve_by_matrix() {
     matrix_.compute(matrix);
     has_matrix_ = true;
   }
-  set_direction(*wanted);
+  set_direction(wanted);
   for (int pass = 0; pass < 3; ++pass) {  // the first solves, the others take the rounding off
     settle();
     const VecX change = matrix_.solve(r_);
@@ -320,7 +320,7 @@ Vec3 StepTangent::ball_turn(const Joint& joint, int i) const {
   const Vec3 dx(dX[iv * S + i], dX[(iv + 1) * S + i], dX[(iv + 2) * S + i]);
   const So3Coefficients k = so3_coefficients(x.squaredNorm());
   Vec3 turn = so3_apply(-x, k.cos_t, k.cub_t, dx);
-  if (direction_->q.size() > 0) turn += so3_apply(-x, k.sin_t, k.cos_t, Vec3(direction_->q.segment<3>(joint.iv)));
+  if (direction_.q.size() > 0) turn += so3_apply(-x, k.sin_t, k.cos_t, Vec3(direction_.q.segment<3>(joint.iv)));
   return turn;
 }
 
@@ -331,14 +331,14 @@ void StepTangent::add_extra(void* self) {
   if (t.stages_.has_ball_springs_) t.add_ball_springs();
   if (t.field_.any()) t.add_elements();
   if (t.rates_.any()) t.add_force_rates();
-  if (t.direction_->parameters != nullptr) t.add_parameters();
+  if (t.direction_.parameters != nullptr) t.add_parameters();
 }
 
 // The force R tau on a split joint, R the axes of its body.
 void StepTangent::add_split_inputs() {
   Stages& s = stages_;
   const bool inputs = s.has_inputs_;
-  if (!inputs && direction_->tau.size() == 0) return;
+  if (!inputs && direction_.tau.size() == 0) return;
   const VecX& q0 = step_.q0();
   const int S = s.padded();
   for (int i = 0; i < S; ++i)
@@ -350,7 +350,7 @@ void StepTangent::add_split_inputs() {
       if (joint.planar) {
         const double angle = s.X_[(iv + 2) * S + i], c0 = q0[iq + 2], s0 = q0[iq + 3];
         const double c = c0 * std::cos(angle) - s0 * std::sin(angle), n = s0 * std::cos(angle) + c0 * std::sin(angle);
-        const double turn = shadow(s.X_)[(iv + 2) * S + i] + (direction_->q.size() > 0 ? direction_->q[iv + 2] : 0.0);
+        const double turn = shadow(s.X_)[(iv + 2) * S + i] + (direction_.q.size() > 0 ? direction_.q[iv + 2] : 0.0);
         const double x = dtau[0] - turn * tau[1], y = dtau[1] + turn * tau[0];
         change = Vec3(c * x - n * y, n * x + c * y, 0.0);
       } else {
@@ -394,8 +394,8 @@ void StepTangent::set_parameters() {
   for (int i = 0; i < stages_.count(); ++i) {
     stages_.configuration(step_.q0(), i, q_);
     for (int d = 0; d < n; ++d) v_[d] = stages_.v_[d * S + i];
-    parameters_.add_state(q_, v_, *direction_->parameters, parameter_P_.col(i), parameter_G_.col(i));
-    parameters_.add_forces(stages_, step_.q0(), i, *direction_->parameters, parameter_G_.col(i));
+    parameters_.add_state(q_, v_, *direction_.parameters, parameter_P_.col(i), parameter_G_.col(i));
+    parameters_.add_forces(stages_, step_.q0(), i, *direction_.parameters, parameter_G_.col(i));
   }
 }
 
@@ -410,7 +410,7 @@ void StepTangent::add_parameters() {
 
 // The time of a stage moves with the start and with the length.
 void StepTangent::add_force_rates() {
-  const double t = direction_->t, h = direction_->h;
+  const double t = direction_.t, h = direction_.h;
   if (t == 0.0 && h == 0.0) return;
   const MatX& rates = rates_.of(step_);
   const int S = stages_.padded(), s = stages_.count();

@@ -96,7 +96,7 @@ class StepTangent {
   ParameterTangent parameters_;
   MatX parameter_P_, parameter_G_;  // derivatives along the parameters at the stages, (nv, s)
   VecX q_, v_, dq_, dv_, df_, r_, dtau_;
-  const StepDirection* direction_ = nullptr;
+  StepDirection direction_;  // of the last solution: what is asked for afterwards may outlive the caller's
   int iterations_ = 0;
   bool has_matrix_ = false;
   Eigen::PartialPivLU<MatX> matrix_;
