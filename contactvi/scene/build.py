@@ -16,12 +16,13 @@ from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
 from contactvi.scene.compliance import compliance_rows
 from contactvi.scene.contact_laws import PairLaw
+from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.element_rows import Resolved, resolve
 from contactvi.scene.engine import EngineScene, make_engine_scene
 from contactvi.scene.joint_arrays import JointArrays, apply_settings
 from contactvi.scene.joints import JointTable
 from contactvi.scene.pair_names import PairNames
-from contactvi.scene.pairs import ContactRules, NeutralOverlaps, choose_pairs
+from contactvi.scene.pairs import NeutralOverlaps, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
 from contactvi.states import States

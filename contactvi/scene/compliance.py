@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from contactvi.inputs import positive, real
+from contactvi.scene.pair_rules import Rule
 
 HERTZ = 1.5
 
@@ -67,32 +68,20 @@ class ComplianceRow:
     law: Compliance
 
 
+def softer(laws: list[Compliance | None], names: tuple[str, str]) -> Compliance | None:
+    """Return the law of the softer one of two sides; None: both are rigid."""
+    return min((law for law in laws if law is not None), key=lambda law: law.stiffness, default=None)
+
+
 @dataclass
-class ComplianceRule:
+class ComplianceRule(Rule):
     """Which pairs of geometries are compliant: those set as pairs; else those of which a side is, by the softer side.
 
-    Attributes:
-        single: laws of geometries by name; None: rigid.
-        pair: laws of pairs of names, the smaller name first.
+    The values are laws; None: rigid.
     """
 
-    single: dict[str, Compliance | None] = field(default_factory=dict)
-    pair: dict[tuple[str, str], Compliance | None] = field(default_factory=dict)
-
-    def set(self, first: Sequence[str], second: Sequence[str] | None, law: Compliance | None) -> None:
-        """Set the law of geometries, or between all of `first` and all of `second`; None makes them rigid."""
-        if second is None:
-            self.single.update(dict.fromkeys(first, law))
-            return
-        self.pair.update({(min(a, b), max(a, b)): law for a in first for b in second if a != b})
-
-    def value(self, a: str, b: str) -> Compliance | None:
-        """Return the law of a pair; None: it is rigid."""
-        key = (min(a, b), max(a, b))
-        if key in self.pair:
-            return self.pair[key]
-        sides = [law for law in (self.single.get(a), self.single.get(b)) if law is not None]
-        return min(sides, key=lambda law: law.stiffness) if sides else None
+    default: Compliance | None = None
+    combine: Callable[[list[Any], tuple[str, str]], Any] = softer
 
     def mask(self, names: Sequence[str]) -> np.ndarray | None:
         """Return which pairs of these geometries are compliant, shape (n, n), above the diagonal; None: none is."""

@@ -16,6 +16,7 @@ import numpy as np
 from contactvi.elements.user_functions import called, checked
 from contactvi.errors import InputError, SceneError, UserFunctionError
 from contactvi.inputs import array, check_choice, flag, listed, real, real_numbers, short
+from contactvi.scene.pair_rules import Rule, smaller
 
 RESTITUTION_LAWS = ("poisson", "newton", "energetic")
 IMPACT_PROCESSES = ("two-phase", "incremental")
@@ -210,67 +211,49 @@ def checked_contact(
     return numbers, laws
 
 
+@dataclass(frozen=True)
+class _Agreed:
+    """What two sides of a pair make of a setting: the smaller one of two numbers; all else has to agree."""
+
+    name: str
+
+    def __call__(self, values: list[Any], names: tuple[str, str]) -> Any:
+        if all(value == values[0] for value in values):
+            return values[0]
+        if all(isinstance(value, float) for value in values):
+            return smaller(values, names)
+        a, b = names
+        raise SceneError(
+            f"The two sides of a contact have different values of {self.name}",
+            expected="one value for the pair",
+            got=f"{short(values[0])} of {a!r}, {short(values[1])} of {b!r}",
+            remedy=f"Set it for the pair: scene.set_contact({a!r}, {b!r}, {self.name.removesuffix('_of_speed')}=...)",
+        )
+
+
 @dataclass
 class LawRules:
-    """The settings of laws, each with a default, values of geometries and values of pairs.
+    """The settings of laws that have been given, each a rule by its name."""
 
-    Attributes:
-        default: values for all pairs, by the name of the setting.
-        single: values of geometries, by setting and name.
-        pair: values of pairs, by setting and names, the smaller name first.
-    """
-
-    default: dict[str, Any] = field(default_factory=dict)
-    single: dict[str, dict[str, Any]] = field(default_factory=dict)
-    pair: dict[str, dict[tuple[str, str], Any]] = field(default_factory=dict)
+    rules: dict[str, Rule] = field(default_factory=dict)
 
     def set(self, name: str, first: Sequence[str] | None, second: Sequence[str] | None, value: Any) -> None:
         """Set a setting for all pairs, for geometries (`first`), or between `first` and `second`."""
-        if first is None:
-            self.default[name] = value
-        elif second is None:
-            self.single.setdefault(name, {}).update(dict.fromkeys(first, value))
-        else:
-            rows = self.pair.setdefault(name, {})
-            rows.update({(min(a, b), max(a, b)): value for a in first for b in second if a != b})
+        self.rules.setdefault(name, Rule(DEFAULTS[name], _Agreed(name))).set(first, second, value)
 
-    def any_of(self, name: str) -> bool:
-        """Return whether a setting has been given."""
-        return name in self.default or bool(self.single.get(name)) or bool(self.pair.get(name))
-
-    def value(self, name: str, a: str, b: str) -> Any:
-        """Return a setting of a pair; of two numbers of its sides the smaller one.
-
-        Raises:
-            SceneError: its sides have different words or functions.
-        """
-        own = self.pair.get(name, {}).get((min(a, b), max(a, b)), self)
-        if own is not self:
-            return own
-        single = self.single.get(name, {})
-        sides = [single[side] for side in (a, b) if side in single]
-        if not sides:
-            return self.default.get(name, DEFAULTS[name])
-        if all(side == sides[0] for side in sides):
-            return sides[0]
-        if all(isinstance(side, float) for side in sides):
-            return min(sides)
-        raise SceneError(
-            f"The two sides of a contact have different values of {name}",
-            expected="one value for the pair",
-            got=f"{short(sides[0])} of {a!r}, {short(sides[1])} of {b!r}",
-            remedy=f"Set it for the pair: scene.set_contact({a!r}, {b!r}, {name.removesuffix('_of_speed')}=...)",
-        )
+    @property
+    def vary_restitution(self) -> bool:
+        """Whether some restitution depends on the speed."""
+        return "restitution_of_speed" in self.rules
 
     def laws(self, names: Sequence[tuple[str, str]]) -> list[tuple[PairLaw, list[int]]]:
         """Return the laws of pairs of names that have one, each with the places of its pairs."""
-        given = [name for name in DEFAULTS if self.any_of(name)]
-        if not given:
+        if not self.rules:
             return []
         found: dict[PairLaw, list[int]] = {}
         plain = PairLaw()
         for k, (a, b) in enumerate(names):
-            law = PairLaw(**{name: self.value(name, a, b) for name in given})
+            law = PairLaw(**{name: rule.value(a, b) for name, rule in self.rules.items()})
             if law.tangential_restitution > 0.0 and law.followed:
                 raise SceneError(
                     f"The impact of {a!r} and {b!r} is followed, and has no tangential restitution",

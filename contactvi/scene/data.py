@@ -47,9 +47,10 @@ from contactvi.scene.build import Built
 from contactvi.scene.camera import Camera, camera_of
 from contactvi.scene.compliance import compliances_from_dict, compliances_to_dict
 from contactvi.scene.contact_laws import laws_from_data, laws_to_data
+from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import JointSettings, JointTable, Servo
-from contactvi.scene.pairs import ContactRules, Rule
+from contactvi.scene.pair_rules import Rule
 from contactvi.scene.selection import PartHandle
 
 FORMAT = "contactvi-scene"

@@ -1,4 +1,4 @@
-"""Pairs of geometries: which are tested for contact and why the others are not, their restitution and friction.
+"""Pairs of geometries: which are tested for contact and why the others are not.
 
 By default every pair on two different bodies, except
 - adjacent bodies (one joint apart); the links of one robot base, fixed to the world, count as one body, while
@@ -15,7 +15,6 @@ Every removal is recorded with its reason.
 
 from __future__ import annotations
 
-import copy
 import threading
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -41,141 +40,9 @@ from contactvi.importing.report import (
     RemovedPair,
 )
 from contactvi.scene.assembly import Assembly
-from contactvi.scene.compliance import ComplianceRule
-from contactvi.scene.contact_laws import LawRules
 
-RESTITUTION = 0.5  # default: neither plastic nor elastic
-FRICTION = 0.0
 TOUCHING = 1e-6  # [m] largest overlap at the neutral pose of shapes that merely touch
 ENABLED_BY_USER = (ADJACENT, BY_FILE, BY_USER, NOT_GIVEN, SELF_COLLISION)  # reasons that enable_pair overrules
-
-
-@dataclass
-class Rule:
-    """One number per pair of geometries: a default, values of geometries, values of pairs.
-
-    The value of a pair is, in this order: the one set for the pair; else the smaller one of those set for its two sides
-    (the only one if only one side has one); else, in the same order, what the models' files say; else the default.
-    Among values set for one thing the last one counts.
-
-    Attributes:
-        single: Values of geometries by name.
-        pair: Values of pairs of names, the smaller name first.
-        file_single, file_pair: Those of the models' files.
-    """
-
-    default: float
-    single: dict[str, float] = field(default_factory=dict)
-    pair: dict[tuple[str, str], float] = field(default_factory=dict)
-    file_single: dict[str, float] = field(default_factory=dict)
-    file_pair: dict[tuple[str, str], float] = field(default_factory=dict)
-
-    def set_single(self, names: Iterable[str], value: float) -> None:
-        """Set the value of each geometry."""
-        for name in names:
-            self.single[name] = value
-
-    def set_pair(self, first: Iterable[str], second: Iterable[str], value: float) -> None:
-        """Set the value between every one of `first` and every one of `second`."""
-        others = list(second)
-        for a in first:
-            for b in others:
-                if a != b:
-                    self.pair[_key(a, b)] = value
-
-    def set_from_file(self, names: Sequence[str], value: float) -> None:
-        """Set the value that a model's file gives a geometry (one name) or a pair (two)."""
-        if len(names) == 1:
-            self.file_single[names[0]] = value
-        else:
-            self.file_pair[_key(*names)] = value
-
-    def value(self, a: str, b: str) -> float:
-        """Return the value of a pair by the combine rule."""
-        for single, pair in ((self.single, self.pair), (self.file_single, self.file_pair)):
-            own = pair.get(_key(a, b))
-            if own is not None:
-                return own
-            sides = [single[name] for name in (a, b) if name in single]
-            if sides:
-                return min(sides)
-        return self.default
-
-    def overrides_default(self, names: Iterable[str]) -> bool:
-        """Return whether no two of these geometries, of which files gave some a value, leave theirs to the default."""
-        own = self.single.keys() | self.file_single.keys()
-        return bool(self.file_single) and sum(name not in own for name in names) < 2
-
-    def set(self, first: Sequence[str] | None, second: Sequence[str] | None, value: float) -> None:
-        """Set the default, the value of geometries (`first`), or that between `first` and `second`."""
-        if first is None:
-            self.default = value
-        elif second is None:
-            self.set_single(first, value)
-        else:
-            self.set_pair(first, second, value)
-
-    def values(self, names: Sequence[str], pairs: np.ndarray) -> np.ndarray:
-        """Return the values of pairs (npairs, 2), indices of `names` in ascending order, shape (npairs,), read only."""
-        index, count = {name: k for k, name in enumerate(names)}, len(names)
-        result = np.broadcast_to(float(self.default), len(pairs))  # one number, however many pairs there are
-        if not (self.file_single or self.file_pair or self.single or self.pair):
-            return result
-        codes = pairs[:, 0].astype(np.int64) * count + pairs[:, 1]
-        # From what counts least to what counts most.
-        for single, pair in ((self.file_single, self.file_pair), (self.single, self.pair)):
-            own = np.array([single.get(name, np.nan) for name in names] or [np.nan], dtype=float)
-            sides = np.fmin(*own[pairs.T])  # that of one side where the other has none
-            result = np.where(np.isnan(sides), result, sides)
-            for (a, b), value in pair.items():
-                if a in index and b in index:
-                    i, j = sorted((index[a], index[b]))
-                    at = np.searchsorted(codes, i * count + j)
-                    if at < len(codes) and codes[at] == i * count + j:
-                        result[at] = value
-        return result
-
-
-@dataclass
-class ContactRules:
-    """What the user gives about contacts: numbers, compliance, laws, and pairs switched off or on by name."""
-
-    restitution: Rule = field(default_factory=lambda: Rule(RESTITUTION))
-    friction: Rule = field(default_factory=lambda: Rule(FRICTION))
-    compliance: ComplianceRule = field(default_factory=ComplianceRule)
-    disabled: list[tuple[str, str]] = field(default_factory=list)
-    enabled: list[tuple[str, str]] = field(default_factory=list)
-    laws: LawRules = field(default_factory=LawRules)
-
-    def add_part(self, part: Part) -> None:
-        """Take over friction and restitution of a model's file; what is set for geometries and pairs counts more."""
-        for names, (friction, restitution) in part.data.contact.items():
-            scene_names = [part.prefix + name for name in names]
-            self.friction.set_from_file(scene_names, friction)
-            if restitution is not None:
-                self.restitution.set_from_file(scene_names, restitution)
-
-    def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
-        """Switch off all pairs of one of `first` and one of `second`."""
-        self._switch(first, second, self.disabled)
-
-    def enable(self, first: Sequence[str], second: Sequence[str]) -> None:
-        """Switch on all pairs of one of `first` and one of `second`."""
-        self._switch(first, second, self.enabled)
-
-    def _switch(self, first: Sequence[str], second: Sequence[str], chosen: list[tuple[str, str]]) -> None:
-        new = [(a, b) for a in first for b in second if a != b]
-        for listed in (self.disabled, self.enabled):  # A pair follows the last call that named it.
-            listed[:] = [pair for pair in listed if pair not in new and pair[::-1] not in new]
-        chosen += new
-
-    def copy(self) -> ContactRules:
-        """Return rules that are edited apart from these."""
-        return copy.deepcopy(self)
-
-
-def _key(a: str, b: str) -> tuple[str, str]:
-    return (a, b) if a < b else (b, a)
 
 
 @dataclass(frozen=True, eq=False)

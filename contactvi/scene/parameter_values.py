@@ -20,8 +20,8 @@ from contactvi.errors import InputError, did_you_mean
 from contactvi.importing.joint_kinds import joint_kind
 from contactvi.inputs import LARGEST, array, mapping, real, real_numbers, short
 from contactvi.scene.build import Built
+from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.joints import PARTS_OF_FREEDOM, SPRUNG, JointSettings, JointTable, Servo
-from contactvi.scene.pairs import ContactRules
 from contactvi.scene.parts import PartList
 
 Array = NDArray[np.float64]

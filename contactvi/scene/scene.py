@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import copy
 import os
-import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from contactvi.errors import InputError, UnusedSettingWarning, did_you_mean
+from contactvi.errors import InputError, did_you_mean
 from contactvi.importing.mjcf.model import MjcfFile
 from contactvi.importing.part import Part
 from contactvi.importing.pictures import Picture
@@ -23,8 +22,7 @@ from contactvi.inputs import flag, mapping, pose, real, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
-from contactvi.scene.compliance import Compliance
-from contactvi.scene.contact_laws import checked_contact
+from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
 from contactvi.scene.dynamics import SceneDynamics
 from contactvi.scene.element_list import ElementList
@@ -40,11 +38,12 @@ from contactvi.scene.joints import (
     with_armature,
     with_one_dof,
 )
-from contactvi.scene.pairs import ENABLED_BY_USER, ContactRules, untested_reason, within_models
+from contactvi.scene.pairs import within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.placing import place_on_ground
 from contactvi.scene.report import scene_report
+from contactvi.scene.scene_contacts import SceneContacts
 from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import Names, PartHandle, Selector
@@ -54,7 +53,7 @@ from contactvi.scene.shown import scene_html
 GRAVITY = (0.0, 0.0, -9.81)
 
 
-class Scene(SceneShapes, SceneElements, SceneDynamics):
+class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
     """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
 
     Where a method takes a body, a joint or a geometry, it is named by its name, by a handle that an `add_` method
@@ -236,127 +235,6 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
 
     # --- contacts and joints ------------------------------------------------------------------------------------------
 
-    def set_contact(
-        self,
-        a: Selector | None = None,
-        b: Selector | None = None,
-        *,
-        restitution: float | ArrayLike | Callable[[float], float] | None = None,
-        friction: float | None = None,
-        restitution_law: str | None = None,
-        impact_process: str | None = None,
-        limit_energy: bool | None = None,
-        tangential_restitution: float | None = None,
-    ) -> None:
-        """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts, by default 0.5 and 0, and their laws.
-
-        Friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
-        default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
-        contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
-        an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
-        of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs;
-        and where none of the pairs between a and b is tested. Laws (docs: laws of contact) count in the same order.
-
-        Args:
-            a, b: of the contacts that are meant.
-            restitution: a number, a table (n, 2) of closing speeds [m/s] and values, or a function of the closing speed
-                (a compiled one by its `address`, as of numba.cfunc: float64(float64)).
-            friction: Coulomb's coefficient.
-            restitution_law: "poisson" (default), the ratio of the impulses of expansion and compression; "newton", of
-                the speeds after and before; "energetic" (Stronge), whose square is the ratio of the works of the
-                normal impulse. Without friction all three are the same.
-            impact_process: "two-phase" (default), friction as in Glocker and Pfeiffer 1995; "incremental", an impact of
-                one point with friction is followed through its impulse, in which the slip turns, stops and turns back
-                (Routh 1905, Keller 1986). The energetic law always follows it.
-            limit_energy: whether restitution is lowered where it would make energy, as Newton's may (default); the
-                column fallback of the events says "gain" where it would, in both cases.
-            tangential_restitution: in [0, 1], by default 0: where friction holds the point in the impact, its slip is
-                reversed with this coefficient (Walton 1993).
-        """
-        if a is None and b is not None:
-            a, b = b, None
-        first = None if a is None else self._geometries(a, "a")
-        second = None if b is None else self._geometries(b, "b")
-        rules = self._contact
-        numbers, laws = checked_contact(
-            restitution, friction, rules.laws.any_of("restitution_of_speed"), restitution_law=restitution_law,
-            impact_process=impact_process, limit_energy=limit_energy, tangential_restitution=tangential_restitution,
-        )  # fmt: skip
-        for what, value in numbers.items():
-            rule = rules.restitution if what == "restitution" else rules.friction
-            if first is None and rule.overrides_default(self.names.geometries):
-                warnings.warn(
-                    f"No pair of shapes uses the default {what} {value:g}: the files give their own. "
-                    f"set_contact(part, {what}={value:g}) replaces that of a part",
-                    UnusedSettingWarning, stacklevel=2,
-                )  # fmt: skip
-            rule.set(first, second, value)
-        for name, value in laws.items():
-            rules.laws.set(name, first, second, value)
-        if first is not None and second is not None and (numbers or laws):
-            self._warn_if_untested(first, second)
-        self._built = None
-
-    def set_compliance(
-        self,
-        a: Selector,
-        b: Selector | None = None,
-        *,
-        stiffness: float | None,
-        exponent: float = 1.0,
-        damping: float = 0.0,
-        friction: float | None = None,
-        slip_speed: float = 1e-3,
-    ) -> None:
-        """Let contacts be compliant: a force by the depth d of their overlap, in place of impacts and rigid contact.
-
-        The normal force is f = stiffness d^exponent (1 + damping d'), and never pulls (Hunt and Crossley, 1975); the
-        friction is friction f s / sqrt(s^2 + slip_speed^2) against the slip of speed s. It acts at the midpoint of the
-        nearest points, inside of the smooth steps of any order, which end where a contact begins to press or to be
-        open. Compliant pairs may overlap in a start, also at the neutral pose; they are not among `pair_names`, and
-        `Trajectory.compliant_contacts` tells their forces. Soft against rigid things at once, in any mixture.
-
-        Shapes: a ball against a ball, capsule, box, cylinder, hull or halfspace; two capsules; a capsule, ellipsoid,
-        box or hull against a halfspace, on which each end of the capsule and each corner presses by a law of its own,
-        of this stiffness. Others are refused when the scene is made (EngineError).
-
-        Args:
-            a, b: bodies, parts or geometries. Without b: all pairs of a, but what is set for pairs counts more; of two
-                sides with a law of their own the softer one counts.
-            stiffness: [N/m^exponent]; None: rigid again.
-            exponent: 1 is a linear spring, 1.5 Hertz's contact (1882), at least 1.
-            damping: [s/m], >= 0. The restitution at the speed v is near 1 - 2/3 damping v where that is near 1.
-            friction: Coulomb's coefficient, >= 0; None: that of the pair (`set_contact`).
-            slip_speed: below which friction is viscous [m/s]. What rests on a slope creeps with about
-                slip_speed tan(slope) / friction.
-        """
-        law = None if stiffness is None else Compliance.checked(stiffness, exponent, damping, friction, slip_speed)
-        first = self._geometries(a, "a")
-        second = None if b is None else self._geometries(b, "b")
-        self._contact.compliance.set(first, second, law)
-        if second is not None:
-            self._warn_if_untested(first, second)
-        self._built = None
-
-    def _warn_if_untested(self, first: Sequence[str], second: Sequence[str]) -> None:
-        """Warn where what is set for the pairs between these geometries has no effect, because none is tested."""
-        index, rules = self.names.geometries, self._contact
-        disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (rules.disabled, rules.enabled))
-        pairs = ((index[a], index[b]) for a in first for b in second if a != b)
-        reason = untested_reason(self._parts.assembly, self._parts.parts, disabled, enabled, pairs)
-        if reason is not None:
-            more = f" (and {len(first) * len(second) - 1} more)" if len(first) * len(second) > 1 else ""
-            remedy = ". scene.enable_pair(a, b), called before, tests it" if reason in ENABLED_BY_USER else ""
-            warnings.warn(
-                f"What is set for the contact of {first[0]!r} and {second[0]!r}{more} has no effect, because it is not "
-                f"tested: {reason}{remedy}", UnusedSettingWarning, stacklevel=3,
-            )  # fmt: skip
-
-    def disable_pair(self, a: Selector, b: Selector) -> None:
-        """Take all pairs between a and b out of the collision pairs."""
-        self._contact.disable(self._geometries(a, "a"), self._geometries(b, "b"))
-        self._built = None
-
     def disable_overlapping(self, q: ArrayLike | None = None) -> list[tuple[str, str]]:
         """Take the pairs within one model that overlap at q (nq,), neutral when None, out of the collision pairs.
 
@@ -422,11 +300,6 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
         dofs = sorted({dof for name in names for dof in dofs_of(built.model, name)})
         return separate(built, at, most, dofs, time)
-
-    def enable_pair(self, a: Selector, b: Selector) -> None:
-        """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""
-        self._contact.enable(self._geometries(a, "a"), self._geometries(b, "b"))
-        self._built = None
 
     def set_joint(
         self,
@@ -796,10 +669,6 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         model = self._parts.assembly.model
         self._joints.update({name: joint_settings(model, name, **values) for name in names})
         self._built = None
-
-    def _geometries(self, selector: Selector, argument: str) -> list[str]:
-        known = list(self.names.geometries)
-        return [known[index] for index in self.names.select_geometries(selector, argument)]
 
     def _one_joint(self, selector: Selector) -> pin.JointModel:
         model = self._parts.assembly.model

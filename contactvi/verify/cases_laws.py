@@ -129,8 +129,8 @@ def woodpecker_toy(runs: Runs) -> list[Check]:
     at = scene.q_index("y")
     fallen = float(np.hstack([traj.q[0][at] - traj.at(period).q[at]])[0])
     return [
-        near("period [s]", period, slips[-1], 2e-9, "a slip begins where forces say so"),
-        near("drop [m]", drop, fallen, 1e-10, "of runs with other steps"),
+        near("period [s]", period, slips[-1], 2e-9, "a slip begins by the forces, which are known to fewer digits"),
+        near("drop [m]", drop, fallen, 1e-10, "runs with steps of twice this length differ by 5e-12 m"),
         same("impacts", ["upper", "beak", "upper", "lower", "lower"], [e.pair[0][:-2] for e in traj.events]),
     ]
 

@@ -61,4 +61,11 @@ Vec3 so3_log(const Quat& quat) {
   return scale * im;
 }
 
+Vec3 any_tangent(const Vec3& n) {
+  Eigen::Index smallest;
+  n.cwiseAbs().minCoeff(&smallest);
+  const Vec3 axis = Vec3::Unit(smallest);
+  return (axis - n.dot(axis) * n).normalized();
+}
+
 }  // namespace contactvi

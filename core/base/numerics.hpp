@@ -63,4 +63,7 @@ Quat so3_exp(const Vec3& xi);
 // Rotation vector of a unit quaternion, |xi| <= pi.
 Vec3 so3_log(const Quat& quat);
 
+// Some unit vector orthogonal to n.
+Vec3 any_tangent(const Vec3& n);
+
 }  // namespace contactvi

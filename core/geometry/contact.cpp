@@ -17,13 +17,6 @@ void contact_rows(const Tree& tree, const Placements& at, const Contact& contact
   add_point_rows(tree, at, contact.body_a, contact.point_a, directions, -1.0, W);
 }
 
-Vec3 any_tangent(const Vec3& n) {
-  Eigen::Index smallest;
-  n.cwiseAbs().minCoeff(&smallest);
-  const Vec3 axis = Vec3::Unit(smallest);
-  return (axis - n.dot(axis) * n).normalized();
-}
-
 Vec3 carried_tangent(const Vec3& t, const Vec3& n0, const Vec3& n1) {
   const double c = 1.0 + n0.dot(n1);
   if (c < 1e-6) return any_tangent(n1);  // turned right round: no shortest turn

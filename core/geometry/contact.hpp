@@ -20,8 +20,6 @@ void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact
 // t1: unit tangent, world frame; t2 = n x t1.
 void contact_rows(const Tree& tree, const Placements& at, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
 
-// Some unit vector orthogonal to n.
-Vec3 any_tangent(const Vec3& n);
 // The tangent t turned with its normal from n0 to n1 (the shortest turn), so that a basis does not flip between steps.
 Vec3 carried_tangent(const Vec3& t, const Vec3& n0, const Vec3& n1);
 

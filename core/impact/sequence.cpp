@@ -150,7 +150,7 @@ bool ImpactSequence::impact_at_point(ClosedGuard& closed, double e, const Instan
 
 // The impulse of an implicit map for an impact with friction or several points: the normal impulses on all points are
 // scaled by one factor.
-ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const PoissonResult& block, double e,
+ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const ImpactBlockResult& block, double e,
                                              const Instant& at, VecX& p) {
   ImpactResult ctec;
   ctec.ok = true;
@@ -212,7 +212,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
   if (options_.stiff_support)
     for (int i = 0; i < count_; ++i)
       if (closed_[i].persistent && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
-  const PoissonResult block = poisson_.solve(members, p, scene_->law(closed.guard));
+  const ImpactBlockResult block = impact_block_.solve(members, p, scene_->law(closed.guard));
   if (!block.ok) return fail_unsolved("an impact with friction was not solved", closed.guard);
   reference_->value -= block.loss;
   const std::size_t first = recording.impacts.size();
@@ -268,7 +268,7 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
   }
   if (!any) return true;
   const ContactLaw* law = members.size() == 1 ? scene_->law(members[0].closed->guard) : nullptr;
-  const PoissonResult block = poisson_.solve(members, p, law);
+  const ImpactBlockResult block = impact_block_.solve(members, p, law);
   if (!block.ok) return fail_unsolved("a plastic impact was not solved", members[0].closed->guard);
   reference_->value -= block.loss;
   const std::size_t first = recording.impacts.size();

@@ -13,9 +13,9 @@
 #include "base/error.hpp"
 #include "contact/persistent_contact.hpp"
 #include "event/finder.hpp"
+#include "impact/impact_block.hpp"
 #include "impact/impact_block_record.hpp"
 #include "impact/impact_law.hpp"
-#include "impact/poisson.hpp"
 #include "record/recording.hpp"
 #include "step/projection.hpp"
 
@@ -93,7 +93,7 @@ class ImpactSequence {
   bool impact_of_contact(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool plastic_impact(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
                       Recording& recording);
-  ImpactResult correct_impulse(const ClosedGuard& closed, const PoissonResult& block, double e, const Instant& at,
+  ImpactResult correct_impulse(const ClosedGuard& closed, const ImpactBlockResult& block, double e, const Instant& at,
                                VecX& p);
   bool leaves_friction_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
   void carry_over(const ImpactResult& result);
@@ -124,7 +124,7 @@ class ImpactSequence {
       0;  // largest sum of the absolute terms of a closed point's speed before the event: the scale of its rounding
   Projection projection_;
   VecX q_, v_;
-  PoissonImpact poisson_;
+  ImpactBlock impact_block_;
   std::vector<ImpactBlockRecord> blocks_;
   StatusCode code_ = StatusCode::kSuccess;
   const char* message_ = "";

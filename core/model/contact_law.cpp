@@ -16,27 +16,27 @@ constexpr double kLeastStep = 1e-6;  // [m/s]
 SpeedFunction::SpeedFunction(std::vector<double> speeds, std::vector<double> values)
     : speeds_(std::move(speeds)), values_(std::move(values)) {}
 
-SpeedFunction::SpeedFunction(std::function<double(double)> value, std::function<double(double)> slope)
-    : function_(std::move(value)), slope_(std::move(slope)) {}
+SpeedFunction::SpeedFunction(std::function<double(double)> value) : function_(std::move(value)) {}
+
+int SpeedFunction::piece(double speed) const {
+  return static_cast<int>(std::upper_bound(speeds_.begin(), speeds_.end(), speed) - speeds_.begin()) - 1;
+}
+
+double SpeedFunction::rise(int piece) const {
+  if (piece < 0 || piece + 1 == static_cast<int>(speeds_.size())) return 0.0;
+  const auto i = static_cast<std::size_t>(piece);
+  return (values_[i + 1] - values_[i]) / (speeds_[i + 1] - speeds_[i]);
+}
 
 double SpeedFunction::operator()(double speed) const {
   if (function_ != nullptr) return function_(speed);
-  const auto next = std::upper_bound(speeds_.begin(), speeds_.end(), speed);
-  if (next == speeds_.begin()) return values_.front();
-  if (next == speeds_.end()) return values_.back();
-  const auto i = static_cast<std::size_t>(next - speeds_.begin());
-  const double share = (speed - speeds_[i - 1]) / (speeds_[i] - speeds_[i - 1]);
-  return values_[i - 1] + share * (values_[i] - values_[i - 1]);
+  const int at = piece(speed);
+  const auto i = static_cast<std::size_t>(std::max(0, at));
+  return values_[i] + rise(at) * (speed - speeds_[i]);
 }
 
 double SpeedFunction::slope(double speed) const {
-  if (slope_ != nullptr) return slope_(speed);
-  if (function_ == nullptr) {
-    const auto next = std::upper_bound(speeds_.begin(), speeds_.end(), speed);
-    if (next == speeds_.begin() || next == speeds_.end()) return 0.0;
-    const auto i = static_cast<std::size_t>(next - speeds_.begin());
-    return (values_[i] - values_[i - 1]) / (speeds_[i] - speeds_[i - 1]);
-  }
+  if (function_ == nullptr) return rise(piece(speed));
   const double step = std::max(kStep * speed, kLeastStep);
   double sum = 0.0;
   if (speed > 2.0 * step) {

@@ -13,17 +13,20 @@ class SpeedFunction {
   SpeedFunction() = default;
   // Places ascend, at least one.
   SpeedFunction(std::vector<double> speeds, std::vector<double> values);
-  // slope: its derivative; none: by differences.
-  explicit SpeedFunction(std::function<double(double)> value, std::function<double(double)> slope = nullptr);
+  explicit SpeedFunction(std::function<double(double)> value);
 
   bool given() const { return function_ != nullptr || !speeds_.empty(); }
-  bool calls_user() const { return function_ != nullptr; }
   double operator()(double speed) const;
+  // Its derivative; that of a function by differences.
   double slope(double speed) const;
 
  private:
+  // The place at which the piece of the table begins in which a speed lies; -1 before the table, the last one after it.
+  int piece(double speed) const;
+  double rise(int piece) const;
+
   std::vector<double> speeds_, values_;
-  std::function<double(double)> function_, slope_;
+  std::function<double(double)> function_;
 };
 
 // What the coefficient e of restitution is the ratio of: of impulses (Poisson), of speeds (Newton), of the square root

@@ -35,13 +35,6 @@ struct Polynomial {
 constexpr double kOfPlaces = 1e-3;
 constexpr int kCompliantColumns = 3;  // of the Newton terms of a contact
 
-// Some unit vector orthogonal to n.
-Vec3 any_orthogonal(const Vec3& n) {
-  Eigen::Index smallest;
-  n.cwiseAbs().minCoeff(&smallest);
-  return (Vec3::Unit(smallest) - n[smallest] * n).normalized();
-}
-
 bool in_reach(const PathSpring& spring, double length) { return !spring.tension_only || length > spring.rest_length; }
 
 }  // namespace
@@ -117,8 +110,8 @@ bool ForceField::press(std::size_t k, const VecCRef& v, Press& press) {
   press.touch = touch_of(c, at_);
   const bool overlaps = press.touch.gap < 0.0;
   if ((!held || open) && !overlaps) return false;
-  const Vec3 directions[kCompliantColumns] = {press.touch.normal, any_orthogonal(press.touch.normal),
-                                              press.touch.normal.cross(any_orthogonal(press.touch.normal))};
+  const Vec3 directions[kCompliantColumns] = {press.touch.normal, any_tangent(press.touch.normal),
+                                              press.touch.normal.cross(any_tangent(press.touch.normal))};
   rows_.setZero();
   add_point_rows(*tree_, at_, c.body_a, press.touch.point, directions, 1.0, rows_);
   add_point_rows(*tree_, at_, c.body_b, press.touch.point, directions, -1.0, rows_);
@@ -138,7 +131,7 @@ void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
     if (!press(k, v, now)) continue;
     dissipation_ += now.acts.elastic * now.touch.normal.dot(now.velocity) - now.acts.force.dot(now.velocity);
     if (now.acts.normal == 0.0) continue;
-    const Vec3 t1 = any_orthogonal(now.touch.normal), t2 = now.touch.normal.cross(t1);
+    const Vec3 t1 = any_tangent(now.touch.normal), t2 = now.touch.normal.cross(t1);
     row_ =
         now.acts.normal * rows_.col(0) + now.acts.force.dot(t1) * rows_.col(1) + now.acts.force.dot(t2) * rows_.col(2);
     f += row_;
@@ -158,7 +151,7 @@ int ForceField::compliant_terms(const VecCRef& v, double damping, double stiffne
   for (std::size_t k = 0; k < tree_->elements.compliances.size(); ++k) {
     const ComplianceLaw& law = tree_->elements.compliances[k].law;
     if (!press(k, v, now) || now.acts.normal == 0.0) continue;
-    const Vec3 n = now.touch.normal, t1 = any_orthogonal(n), t2 = n.cross(t1);
+    const Vec3 n = now.touch.normal, t1 = any_tangent(n), t2 = n.cross(t1);
     const double along = n.dot(now.velocity), slope = compliance_slope(law, now.touch.gap);
     const double normal = damping * std::max(0.0, law.damping * now.acts.elastic) +
                           stiffness * std::max(0.0, slope * (1.0 - law.damping * along));

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "model/compliance.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -18,7 +20,21 @@ constexpr double kResolved = 0.02;
 // A step of a resolved motion stays below a tenth of this.
 constexpr double kBudget = 0.05;
 
+// Of the energies in a step that a nonlinear compliant contact may change, or the step is halved. One that resolves the
+// contact by ten steps stays far below.
+constexpr double kContactEnergy = 0.01;
+constexpr double kEnergyRounding = 1e-12;
+
 bool turns(const Joint& joint) { return joint.type != JointType::kPrismatic && joint.type != JointType::kTranslation; }
+
+// Of all compliant contacts [J].
+double elastic_energy(const Tree& tree, const VecX& q) {
+  Placements at(tree);
+  place(tree, q, at);
+  double sum = 0.0;
+  for (const CompliantContact& c : tree.elements.compliances) sum += compliance_energy(c.law, touch_of(c, at).gap);
+  return sum;
+}
 
 }  // namespace
 
@@ -55,7 +71,8 @@ bool LongSteps::is_long(StepEquations& equations, double h) {
   return s == 1 || equations.truncation() > kResolved * equations.stage_motion();
 }
 
-bool keeps_energy(EnergyWatch& watch, double before, double after, double kinetic, double rise) {
+bool keeps_energy(EnergyWatch& watch, const StepEnergy& energy) {
+  const auto& [before, after, kinetic, rise] = energy;
   if (!watch.known) {
     watch.known = true;
     watch.start = before;
@@ -66,6 +83,12 @@ bool keeps_energy(EnergyWatch& watch, double before, double after, double kineti
   if (!(off <= kBudget * scale || off <= was)) return false;
   watch.scale = std::max(watch.scale, kinetic);
   return true;
+}
+
+bool contacts_keep_energy(const Tree& tree, const StepEnergy& energy, const VecX& q0, const VecX& q1) {
+  const double elastic = elastic_energy(tree, q0) + elastic_energy(tree, q1);
+  const double scale = std::max({energy.kinetic, std::abs(energy.rise), elastic});
+  return std::abs(energy.after - energy.before) <= kContactEnergy * scale + kEnergyRounding * std::abs(energy.before);
 }
 
 }  // namespace contactvi

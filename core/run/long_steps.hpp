@@ -34,8 +34,16 @@ class LongSteps {
   std::vector<double> turn_;
 };
 
-// Takes a look at a step from the energy `before` to `after` [J], both less the work done up to there, with the kinetic
-// energy `kinetic` at its start and a change `rise` of the potential energy. False: the step is not to be taken.
-bool keeps_energy(EnergyWatch& watch, double before, double after, double kinetic, double rise);
+// The energy before and after a step, both less the work done up to there, and what it is compared with: the kinetic
+// energy before and the rise of the potential one [J].
+struct StepEnergy {
+  double before, after, kinetic, rise;
+};
+
+// Takes a look at a step. False: it is not to be taken.
+bool keeps_energy(EnergyWatch& watch, const StepEnergy& energy);
+// Whether compliant contacts are resolved by the step from q0 to q1: one that passes a contact in a step or two keeps
+// the energy of a linear law, and of no other one. What rests has no motion to compare with, but elastic energy.
+bool contacts_keep_energy(const Tree& tree, const StepEnergy& energy, const VecX& q0, const VecX& q1);
 
 }  // namespace contactvi

@@ -5,7 +5,6 @@
 #include <limits>
 
 #include "impact/impact_maps.hpp"
-#include "model/compliance.hpp"
 #include "model/coupling.hpp"
 #include "run/state_range.hpp"
 
@@ -17,20 +16,7 @@ constexpr int kMostHalvings = 4000;   // of the free steps within one interval
 constexpr long kReported = 64;        // steps between two reports of progress
 // Of an interval: what is left of it after a smooth step that ends within is no step of its own.
 constexpr double kRounding = 1e-13;
-// Of the energies in a step that a nonlinear compliant contact may change, or the step is halved. One that resolves the
-// contact by ten steps stays far below.
-constexpr double kContactEnergy = 0.01;
-constexpr double kEnergyRounding = 1e-12;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-
-// Of all compliant contacts [J].
-double elastic_energy(const Tree& tree, const VecX& q) {
-  Placements at(tree);
-  place(tree, q, at);
-  double sum = 0.0;
-  for (const CompliantContact& c : tree.elements.compliances) sum += compliance_energy(c.law, touch_of(c, at).gap);
-  return sum;
-}
 
 // Whether some force dissipates energy.
 bool dissipates(const Tree& tree) {
@@ -411,7 +397,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   // step.
   if (truncation_.bound == 0.0 && !last_try && !law_->implicit() &&
       long_steps_.may_be_long(integrator_.stage_velocities(), integrator_.padded_stages(), h) &&
-      long_steps_.is_long(integrator_, h) && !energy_is_kept())
+      long_steps_.is_long(integrator_, h) && !keeps_energy(state_.watch, step_energy()))
     return reject();
   if (holds) modes_.take_step(h, v_, q1_, interval.tau);
   bool switches = false;  // the step is to end where a branch does
@@ -433,7 +419,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     if (holds && !modes_.fits(q1_, false)) return reject();
   }
   if (!branches_.none() && truncation_.bound == 0.0 && !last_try && branches_.presses_nonlinearly() &&
-      !contacts_keep_energy())
+      !contacts_keep_energy(scene_->tree, step_energy(), state_.q, q1_))
     return reject();
   const bool shorter = halves || switches;
   if (holds)
@@ -497,7 +483,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   return true;
 }
 
-Simulator::StepEnergy Simulator::step_energy() {
+StepEnergy Simulator::step_energy() {
   const WorkTally& done = state_.work.tally();
   const double work = done.input + done.driven - done.damping - done.joint_friction;
   const auto kinetic = [this](const VecX& q, const VecX& p) {
@@ -506,22 +492,6 @@ Simulator::StepEnergy Simulator::step_energy() {
   const double V0 = potential(state_.q), V1 = potential(q1_), T0 = kinetic(state_.q, state_.p);
   const double step_work = integrator_.work() + modes_.friction_work();
   return {T0 + V0 - work, kinetic(q1_, p1_) + V1 - work - step_work, T0, V1 - V0};
-}
-
-// Of a long smooth step just solved: whether it keeps the energy but for the work done.
-bool Simulator::energy_is_kept() {
-  const StepEnergy e = step_energy();
-  return keeps_energy(state_.watch, e.before, e.after, e.kinetic, e.rise);
-}
-
-// Whether compliant contacts are resolved by the step, or by its part up to a switch: one that passes a contact in a
-// step or two keeps the energy of a linear law, and of no other one. What rests has no motion to compare with, but
-// elastic energy.
-bool Simulator::contacts_keep_energy() {
-  const StepEnergy e = step_energy();
-  const double elastic = elastic_energy(scene_->tree, state_.q) + elastic_energy(scene_->tree, q1_);
-  const double scale = std::max({e.kinetic, std::abs(e.rise), elastic});
-  return std::abs(e.after - e.before) <= kContactEnergy * scale + kEnergyRounding * std::abs(e.before);
 }
 
 // The part of a smooth step of length h up to the event that was found in it, and the event. shorter: the step does not

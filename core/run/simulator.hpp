@@ -185,14 +185,8 @@ class Simulator {
   bool advance_interval(double start, double length, const VecX& tau, Recording& recording);
   bool advance_free(Interval& interval, long halved, Recording& recording);
   bool take_event(Interval& interval, double h, bool shorter, Recording& recording);
-  // The energy before and after the step from the state to q1_, p1_, both less the work done, and what it is compared
-  // with, the kinetic energy before and the rise of the potential one [J].
-  struct StepEnergy {
-    double before, after, kinetic, rise;
-  };
+  // Of the step just solved, from the state to q1_, p1_.
   StepEnergy step_energy();
-  bool energy_is_kept();
-  bool contacts_keep_energy();
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
   void start_recording(const Progress& progress, Recording& recording);
   void record_node(double t, Recording& recording) { record_node(t, state_.q.data(), state_.p.data(), recording); }

@@ -146,7 +146,7 @@ void ImpactTangent::take_poisson(const RecordedImpact& impact) {
     members.push_back({&sequence_.closed(k), impact.block != nullptr ? sequence_.closed(k).e : impact.restitution});
   const bool elastic = members.front().e > 0.0;
   const ContactLaw* law = members.size() == 1 || elastic ? scene_->law(members.front().closed->guard) : nullptr;
-  const PoissonResult solved = poisson_.solve(members, impact.p_minus, law);
+  const ImpactBlockResult solved = impact_block_.solve(members, impact.p_minus, law);
   if (!solved.ok) throw Error("a recorded impact with friction was not solved");
   if (solved.restitution < 1.0)
     refuse("restitution", impact.guard,
@@ -156,7 +156,7 @@ void ImpactTangent::take_poisson(const RecordedImpact& impact) {
   lambda_ = solved.lambda;
   if (law != nullptr && law->is_other()) {
     other_law_ = law;
-    course_ = poisson_.course();
+    course_ = impact_block_.course();
     return;
   }
   law_.take(points_, gamma_, G_, solved.first, solved.lambda);
@@ -283,10 +283,10 @@ void ImpactTangent::apply_other_law(const ImpactDirection& d, const VecX& de, Ve
   const double step = kStep / share;
   for (const DifferenceTerm& term : kDifference) {
     const double by = term.count * step;
-    const PoissonResult& there = poisson_.solve_again(gamma_ + by * dgamma_, G_ + by * dG_, points_[0].e + by * de[0],
-                                                      mu + by * d.mu, other_law_);
+    const ImpactBlockResult& there = impact_block_.solve_again(gamma_ + by * dgamma_, G_ + by * dG_,
+                                                               points_[0].e + by * de[0], mu + by * d.mu, other_law_);
     if (!there.ok) throw Error("a recorded impact was not solved");
-    if (d.checked && poisson_.course() != course_)
+    if (d.checked && impact_block_.course() != course_)
       refuse("friction", impact_->guard, "An impact is next to a change of what it does",
              "friction inside of its cone, or slip", "one that sticks, slips or turns back beside this one",
              "Start elsewhere");

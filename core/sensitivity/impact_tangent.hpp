@@ -84,7 +84,7 @@ class ImpactTangent {
   Integrator integrator_;
   Guards guards_;
   ImpactSequence sequence_;
-  PoissonImpact poisson_;
+  ImpactBlock impact_block_;
   PoissonTangent law_;
   const ContactLaw* other_law_ = nullptr;  // of the impact, if it is not Poisson's in two phases
   std::vector<char> course_;               // of the impact by that law

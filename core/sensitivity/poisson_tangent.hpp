@@ -1,4 +1,4 @@
-// The derivative of an impact by Poisson's law: of the two cone problems of compression and expansion (PoissonImpact),
+// The derivative of an impact by Poisson's law: of the two cone problems of compression and expansion (ImpactBlock),
 // with the active sets of their solutions.
 //
 // With the speeds gamma- of the rows before the impact and the Delassus matrix G, each problem has the speeds

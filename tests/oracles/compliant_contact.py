@@ -11,6 +11,7 @@ the speed. What is computed there does not care whether k is 1e3 or 1e8.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +94,21 @@ class Contact:
     released: bool  # False: it stays, and the numbers are those at the end of the run
 
 
+def _in_its_units(
+    mass: float, k: float, n: float, speed: float, c: float, gravity: float
+) -> tuple[float, float, Callable[[float, np.ndarray], np.ndarray]]:
+    """Length and time of a contact at this speed, and the rate of (penetration, its rate) in these units."""
+    length = penetration(mass, k, n, speed, gravity)
+    unit = length / speed
+    g, stiff, damp = gravity * unit / speed, k * length**n * unit / (mass * speed), c * speed
+
+    def rhs(t: float, y: np.ndarray) -> np.ndarray:
+        d = max(y[0], 0.0)
+        return np.array([y[1], g - max(stiff * d**n * (1.0 + damp * y[1]), 0.0)])
+
+    return length, unit, rhs
+
+
 def contact(
     mass: float,
     k: float,
@@ -103,14 +119,7 @@ def contact(
     longest: float = 50.0,
 ) -> Contact:
     """One contact from the touch to the release, by DOP853 in the units of the contact; `longest` contact times."""
-    length = penetration(mass, k, n, speed, gravity)
-    unit = length / speed
-    g, stiff, damp = gravity * unit / speed, k * length**n * unit / (mass * speed), c * speed
-
-    def rhs(t: float, y: np.ndarray) -> np.ndarray:
-        d = max(y[0], 0.0)
-        return np.array([y[1], g - max(stiff * d**n * (1.0 + damp * y[1]), 0.0)])
-
+    length, unit, rhs = _in_its_units(mass, k, n, speed, c, gravity)
     deep = leg(rhs, 0.0, [0.0, 1.0], longest, [(lambda t, y: y[1], -1)])
     free = leg(rhs, deep.t, deep.y, longest, [(lambda t, y: y[0], -1)])
     out = free.event == 0
@@ -150,14 +159,7 @@ def position(
         d, touch, speed = t - touch - one.time, touch + one.time + 2.0 * one.speed / gravity, one.speed
         if t <= touch:
             return speed * d - 0.5 * gravity * d * d, speed - gravity * d
-    length = penetration(mass, k, n, speed, gravity)
-    unit = length / speed
-    g, stiff, damp = gravity * unit / speed, k * length**n * unit / (mass * speed), c * speed
-
-    def rhs(s: float, y: np.ndarray) -> np.ndarray:
-        d = max(y[0], 0.0)
-        return np.array([y[1], g - max(stiff * d**n * (1.0 + damp * y[1]), 0.0)])
-
+    length, unit, rhs = _in_its_units(mass, k, n, speed, c, gravity)
     y = leg(rhs, 0.0, [0.0, 1.0], (t - touch) / unit).y
     return -float(y[0]) * length, -float(y[1]) * speed
 

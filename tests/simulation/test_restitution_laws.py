@@ -12,60 +12,8 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from helpers.corner import MASS, SIZE, Corner, rotation
 from oracles import impact_laws, super_ball
-
-GAP = 1e-9  # [m] at the start: the impact follows within about as many seconds, in which nothing turns
-SIZE = np.array([0.3, 0.2, 0.5])
-MASS = 1.3
-
-
-class Corner:
-    """A box whose corner is above the ground, its velocity, and the impact of its corner."""
-
-    def __init__(self, seed: int, mu: float, e: float) -> None:
-        rng = np.random.default_rng(seed)
-        self.mu, self.e = mu, e
-        self.R = _rotation(rng)
-        corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * SIZE
-        world = corners @ self.R.T
-        self.r = world[np.argmin(world[:, 2])]
-        self.omega = rng.normal(size=3)
-        self.v = rng.normal(size=3)
-        speed = (self.v + np.cross(self.omega, self.r))[2]
-        self.v[2] -= speed + abs(rng.normal()) + 0.2
-        x, y, z = SIZE
-        inertia = self.R @ np.diag([y * y + z * z, x * x + z * z, x * x + y * y]) @ self.R.T * MASS / 12.0
-        rows = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        W = np.hstack([rows, np.cross(self.r, rows)])  # of (v, omega) in the world
-        self.W, self.inverse = (
-            W,
-            np.linalg.inv(np.block([[MASS * np.eye(3), np.zeros((3, 3))], [np.zeros((3, 3)), inertia]])),
-        )
-        self.G = W @ self.inverse @ W.T
-        self.gamma = W @ np.hstack([self.v, self.omega])
-
-    def scene(self, **law: object) -> cvi.Scene:
-        """Return the scene, without gravity."""
-        scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
-        scene.add_halfspace()
-        place = np.hstack([[0.0, 0.0, GAP - self.r[2]], pin.Quaternion(self.R).coeffs()])
-        scene.add_box("box", SIZE, mass=MASS)
-        scene.set_contact(friction=self.mu, restitution=self.e, **law)
-        self.q0, self.v0 = place, np.hstack([self.R.T @ self.v, self.R.T @ self.omega])
-        return scene
-
-    def after(self, **law: object) -> np.ndarray:
-        """Return the corner's velocity (n, t) after the impact, and what the run has recorded."""
-        scene = self.scene(**law)
-        self.run = cvi.simulate(scene, self.q0, self.v0, duration=1e-8, dt=1e-8)
-        assert self.run.status.ok, self.run.status
-        v = self.run.v[-1]
-        return self.W @ np.hstack([self.R @ v[:3], self.R @ v[3:]])
-
-
-def _rotation(rng: np.random.Generator) -> np.ndarray:
-    axis = rng.normal(size=3)
-    return pin.exp3(axis / np.linalg.norm(axis) * rng.uniform(0.0, 3.0))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -83,6 +31,7 @@ def test_a_corner_obeys_its_law(seed: int, law: str, process: str) -> None:
             corner.G, corner.gamma, corner.mu, corner.e
         )
     assert len(corner.run.events) == 1
+    # The box turns by some 1e-8 rad before and after.
     np.testing.assert_allclose(found, right.gamma, rtol=0.0, atol=1e-7 * np.linalg.norm(corner.gamma))
 
 
@@ -195,7 +144,7 @@ def test_derivatives_of_laws(law: str, mu: float) -> None:
     scene.add_halfspace()
     scene.add_box("box", SIZE, mass=MASS)
     scene.set_contact(**{"friction": mu, "restitution": 0.6, **LAWS[law]})
-    q0 = np.hstack([[0.0, 0.0, 0.6], pin.Quaternion(_rotation(np.random.default_rng(3))).coeffs()])
+    q0 = np.hstack([[0.0, 0.0, 0.6], pin.Quaternion(rotation(np.random.default_rng(3))).coeffs()])
     v0 = np.array([0.3, -0.2, -0.5, 1.0, -2.0, 0.5])
     found = cvi.check_gradient(scene, q0, v0, duration=0.3, dt=0.01, order=4)
     assert len(found.columns) >= 12 + ("restitution" not in LAWS[law])

@@ -21,8 +21,11 @@ def test_a_period_of_the_limit_cycle(tmp_path, options) -> None:
     assert run.status.ok
     q = run.at(period).q
     found = np.hstack([q[scene.q_index(name)] for name in ("y", "s_M", "s_S")]) / [1.0, toy.LM, toy.LG]
+    # Runs with steps of twice this length differ from it by 5e-12.
     np.testing.assert_allclose(found, q0 - [drop, 0.0, 0.0], rtol=0.0, atol=1e-10)
     first = next(t for t, _, _, text in motion.log if text.startswith("impact"))
     assert abs(run.events[0].time - first) < 1e-11
     slips = [change.time for change in run.contact_changes if change.change == "slip"]
-    assert abs(slips[-1] - period) < 2e-9
+    assert (
+        abs(slips[-1] - period) < 2e-9
+    )  # a slip begins where friction is as large as it may be, to rounding of forces

@@ -1,4 +1,4 @@
-#include "impact/poisson.hpp"
+#include "impact/impact_block.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -27,7 +27,7 @@ double ClosedGuard::gamma_n(const VecX& p) const {
   return least;
 }
 
-bool PoissonImpact::cone(const VecX& start, VecX& lambda) {
+bool ImpactBlock::cone(const VecX& start, VecX& lambda) {
   lambda.setZero(G_.rows());
   for (const ConeContact& c : cones_) lambda[c.row] = c.lower;
   const ConeResult result =
@@ -37,7 +37,7 @@ bool PoissonImpact::cone(const VecX& start, VecX& lambda) {
   return (result.ok || result.residual <= kAccept) && lambda.allFinite();
 }
 
-void PoissonImpact::set_problem(const std::vector<BlockMember>& members, const VecX& p) {
+void ImpactBlock::set_problem(const std::vector<BlockMember>& members, const VecX& p) {
   int rows = 0;
   cones_.clear();
   for (const BlockMember& member : members) {
@@ -70,13 +70,13 @@ void PoissonImpact::set_problem(const std::vector<BlockMember>& members, const V
 }
 
 // Sets the result of the impulses first_ and second_.
-void PoissonImpact::finish() {
+void ImpactBlock::finish() {
   result_.lambda = first_ + second_;
   result_.gamma_plus = result_.gamma_minus + G_ * result_.lambda;
   result_.loss = -0.5 * result_.lambda.dot(result_.gamma_minus + result_.gamma_plus);
 }
 
-bool PoissonImpact::follow(double e, const ContactLaw& law) {
+bool ImpactBlock::follow(double e, const ContactLaw& law) {
   const IncrementalImpact impact =
       follow_impact(G_.topLeftCorner<3, 3>(), result_.gamma_minus.head<3>(), cones_.front().mu, e, law.restitution);
   course_ = impact.course;
@@ -87,7 +87,7 @@ bool PoissonImpact::follow(double e, const ContactLaw& law) {
 }
 
 // Work of the normal impulses of the first member, which lead on from the speeds `before` [J].
-double PoissonImpact::normal_work(const VecX& lambda, const VecX& before) const {
+double ImpactBlock::normal_work(const VecX& lambda, const VecX& before) const {
   const VecX change = G_ * lambda;
   double work = 0.0;
   for (int i = 0; i < own_; ++i) {
@@ -98,7 +98,7 @@ double PoissonImpact::normal_work(const VecX& lambda, const VecX& before) const 
 }
 
 // Expansion after the compression first_, to second_.
-bool PoissonImpact::expand(double e, double tangential) {
+bool ImpactBlock::expand(double e, double tangential) {
   speeds_ = result_.gamma_minus;
   const bool both = tangential > 0.0;  // the problem is one for the impulses of both phases
   if (!both) speeds_ += G_ * first_;
@@ -114,7 +114,7 @@ bool PoissonImpact::expand(double e, double tangential) {
   return solved;
 }
 
-bool PoissonImpact::expand_by_energy(double e, double tangential) {
+bool ImpactBlock::expand_by_energy(double e, double tangential) {
   const double asked = -e * e * normal_work(first_, result_.gamma_minus);
   const VecX compressed = result_.gamma_minus + G_ * first_;
   // What is missing of the work; it falls with the share of the impulses of the compression.
@@ -134,7 +134,7 @@ bool PoissonImpact::expand_by_energy(double e, double tangential) {
 }
 
 // The impulses by one coefficient of restitution of the first member, normal and tangential.
-bool PoissonImpact::impulses(double e, double tangential, const ContactLaw& law) {
+bool ImpactBlock::impulses(double e, double tangential, const ContactLaw& law) {
   const bool single = cones_.size() == 1 && cones_.front().rows == 3;
   if (single && (law.incremental || law.restitution == RestitutionLaw::kEnergetic)) return follow(e, law);
   second_.setZero(G_.rows());
@@ -157,7 +157,7 @@ bool PoissonImpact::impulses(double e, double tangential, const ContactLaw& law)
 }
 
 // Whether each point is open, sticks or slips in a problem with these impulses; again: of the second problem.
-void PoissonImpact::note_course(const VecX& impulses, bool again) {
+void ImpactBlock::note_course(const VecX& impulses, bool again) {
   course_.resize(again ? cones_.size() : 0);
   for (const ConeContact& c : cones_) {
     const double normal = impulses[c.row];
@@ -167,8 +167,8 @@ void PoissonImpact::note_course(const VecX& impulses, bool again) {
   }
 }
 
-const PoissonResult& PoissonImpact::solve_again(const VecX& gamma, const MatX& G, double e, const VecX& mu,
-                                                const ContactLaw* given) {
+const ImpactBlockResult& ImpactBlock::solve_again(const VecX& gamma, const MatX& G, double e, const VecX& mu,
+                                                  const ContactLaw* given) {
   const ContactLaw& law = given != nullptr ? *given : kPoissonLaw;
   result_.gamma_minus = gamma;
   G_ = G;
@@ -179,9 +179,9 @@ const PoissonResult& PoissonImpact::solve_again(const VecX& gamma, const MatX& G
   return result_;
 }
 
-PoissonResult PoissonImpact::solve(const std::vector<BlockMember>& members, const VecX& p, const ContactLaw* given) {
+ImpactBlockResult ImpactBlock::solve(const std::vector<BlockMember>& members, const VecX& p, const ContactLaw* given) {
   const ContactLaw& law = given != nullptr ? *given : kPoissonLaw;
-  result_ = PoissonResult();
+  result_ = ImpactBlockResult();
   set_problem(members, p);
   compressed_ = false;
   const double e = members.front().e;
@@ -190,9 +190,9 @@ PoissonResult PoissonImpact::solve(const std::vector<BlockMember>& members, cons
     if (!impulses(part * e, part * law.tangential, law)) return false;
     finish();
     scale = std::abs(first_.dot(result_.gamma_minus));
-    const double gain = -result_.loss;
-    if (part == 1.0) result_.gain = gain > kGain * scale ? gain : 0.0;
-    holds = !(gain > kGain * scale) || !law.keeps_energy;
+    const bool gains = e > 0.0 && -result_.loss > kGain * scale;
+    if (part == 1.0) result_.gain = gains ? -result_.loss : 0.0;
+    holds = !gains || !law.keeps_energy;
     return true;
   };
   if (!largest_where(kShareWidth, kBisections, loses, share)) return result_;

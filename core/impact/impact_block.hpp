@@ -61,7 +61,7 @@ struct BlockMember {
   double e;
 };
 
-struct PoissonResult {
+struct ImpactBlockResult {
   bool ok = false;
   VecX lambda;  // impulses of all rows, member after member
   VecX first;   // those of the compression alone
@@ -72,13 +72,14 @@ struct PoissonResult {
   int iterations = 0;
 };
 
-class PoissonImpact {
+class ImpactBlock {
  public:
   // law: of the first member, null: Poisson's. The other ones have e = 0.
-  PoissonResult solve(const std::vector<BlockMember>& members, const VecX& p, const ContactLaw* law = nullptr);
+  ImpactBlockResult solve(const std::vector<BlockMember>& members, const VecX& p, const ContactLaw* law = nullptr);
   // The problem of the last solve() with other numbers: speeds gamma-, G, e of the first member and friction of the
   // points. Restitution is not lowered.
-  const PoissonResult& solve_again(const VecX& gamma, const MatX& G, double e, const VecX& mu, const ContactLaw* law);
+  const ImpactBlockResult& solve_again(const VecX& gamma, const MatX& G, double e, const VecX& mu,
+                                       const ContactLaw* law);
   // What each point did in the last problem: equal where a change of the numbers has changed no piece of the law.
   const std::vector<char>& course() const { return course_; }
 
@@ -97,7 +98,7 @@ class PoissonImpact {
   std::vector<ConeContact> cones_;
   MatX G_;
   VecX first_, second_, speeds_;  // impulses of the two problems; speeds of the rows that a problem starts from
-  PoissonResult result_;
+  ImpactBlockResult result_;
   int own_ = 0;              // points of the first member
   bool compressed_ = false;  // first_ is the compression
   std::vector<char> course_;

@@ -1,0 +1,53 @@
+"""What the user gives about contacts: numbers, laws, compliance, and pairs switched off or on."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from contactvi.importing.part import Part
+from contactvi.scene.compliance import ComplianceRule
+from contactvi.scene.contact_laws import LawRules
+from contactvi.scene.pair_rules import Rule
+
+RESTITUTION = 0.5  # default: neither plastic nor elastic
+FRICTION = 0.0
+
+
+@dataclass
+class ContactRules:
+    """What the user gives about contacts: numbers, compliance, laws, and pairs switched off or on by name."""
+
+    restitution: Rule = field(default_factory=lambda: Rule(RESTITUTION))
+    friction: Rule = field(default_factory=lambda: Rule(FRICTION))
+    compliance: ComplianceRule = field(default_factory=ComplianceRule)
+    disabled: list[tuple[str, str]] = field(default_factory=list)
+    enabled: list[tuple[str, str]] = field(default_factory=list)
+    laws: LawRules = field(default_factory=LawRules)
+
+    def add_part(self, part: Part) -> None:
+        """Take over friction and restitution of a model's file; what is set for geometries and pairs counts more."""
+        for names, (friction, restitution) in part.data.contact.items():
+            scene_names = [part.prefix + name for name in names]
+            self.friction.set_from_file(scene_names, friction)
+            if restitution is not None:
+                self.restitution.set_from_file(scene_names, restitution)
+
+    def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
+        """Switch off all pairs of one of `first` and one of `second`."""
+        self._switch(first, second, self.disabled)
+
+    def enable(self, first: Sequence[str], second: Sequence[str]) -> None:
+        """Switch on all pairs of one of `first` and one of `second`."""
+        self._switch(first, second, self.enabled)
+
+    def _switch(self, first: Sequence[str], second: Sequence[str], chosen: list[tuple[str, str]]) -> None:
+        new = [(a, b) for a in first for b in second if a != b]
+        for listed in (self.disabled, self.enabled):  # A pair follows the last call that named it.
+            listed[:] = [pair for pair in listed if pair not in new and pair[::-1] not in new]
+        chosen += new
+
+    def copy(self) -> ContactRules:
+        """Return rules that are edited apart from these."""
+        return copy.deepcopy(self)

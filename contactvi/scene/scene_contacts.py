@@ -1,0 +1,156 @@
+"""What is set for the contacts of a scene: restitution, friction, laws, compliance, and which pairs are tested."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+
+from numpy.typing import ArrayLike
+
+from contactvi.errors import UnusedSettingWarning
+from contactvi.scene.build import Built
+from contactvi.scene.compliance import Compliance
+from contactvi.scene.contact_laws import checked_contact
+from contactvi.scene.contact_rules import ContactRules
+from contactvi.scene.pairs import ENABLED_BY_USER, untested_reason
+from contactvi.scene.parts import PartList
+from contactvi.scene.selection import Selector
+
+
+class SceneContacts:
+    """The methods of a scene that say what its contacts do, and which pairs of shapes are tested."""
+
+    _parts: PartList
+    _contact: ContactRules
+    _built: Built | None
+
+    def set_contact(
+        self,
+        a: Selector | None = None,
+        b: Selector | None = None,
+        *,
+        restitution: float | ArrayLike | Callable[[float], float] | None = None,
+        friction: float | None = None,
+        restitution_law: str | None = None,
+        impact_process: str | None = None,
+        limit_energy: bool | None = None,
+        tangential_restitution: float | None = None,
+    ) -> None:
+        """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts, by default 0.5 and 0, and their laws.
+
+        Friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
+        default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
+        contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
+        an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
+        of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs;
+        and where none of the pairs between a and b is tested. Laws (docs/theory.md) count in the same order.
+
+        Args:
+            a, b: of the contacts that are meant.
+            restitution: a number, a table (n, 2) of closing speeds [m/s] and values, or a function of the closing speed
+                (a compiled one by its `address`, as of numba.cfunc: float64(float64)).
+            friction: Coulomb's coefficient.
+            restitution_law: "poisson" (default), the ratio of the impulses of expansion and compression; "newton", of
+                the speeds after and before; "energetic" (Stronge), whose square is the ratio of the works of the
+                normal impulse. Without friction all three are the same.
+            impact_process: "two-phase" (default), friction as in Glocker and Pfeiffer 1995; "incremental", an impact of
+                one point with friction is followed through its impulse, in which the slip turns, stops and turns back
+                (Routh 1905, Keller 1986). The energetic law always follows it.
+            limit_energy: whether restitution is lowered where it would make energy, as Newton's may (default); the
+                column fallback of the events says "gain" where it would, in both cases.
+            tangential_restitution: in [0, 1], by default 0: where friction holds the point in the impact, its slip is
+                reversed with this coefficient (Walton 1993).
+        """
+        if a is None and b is not None:
+            a, b = b, None
+        first = None if a is None else self._geometries(a, "a")
+        second = None if b is None else self._geometries(b, "b")
+        rules = self._contact
+        numbers, laws = checked_contact(
+            restitution, friction, rules.laws.vary_restitution, restitution_law=restitution_law,
+            impact_process=impact_process, limit_energy=limit_energy, tangential_restitution=tangential_restitution,
+        )  # fmt: skip
+        for what, value in numbers.items():
+            rule = rules.restitution if what == "restitution" else rules.friction
+            if first is None and rule.overrides_default(self._parts.names.geometries):
+                warnings.warn(
+                    f"No pair of shapes uses the default {what} {value:g}: the files give their own. "
+                    f"set_contact(part, {what}={value:g}) replaces that of a part",
+                    UnusedSettingWarning, stacklevel=2,
+                )  # fmt: skip
+            rule.set(first, second, value)
+        for name, value in laws.items():
+            rules.laws.set(name, first, second, value)
+        if first is not None and second is not None and (numbers or laws):
+            self._warn_if_untested(first, second)
+        self._built = None
+
+    def set_compliance(
+        self,
+        a: Selector,
+        b: Selector | None = None,
+        *,
+        stiffness: float | None,
+        exponent: float = 1.0,
+        damping: float = 0.0,
+        friction: float | None = None,
+        slip_speed: float = 1e-3,
+    ) -> None:
+        """Let contacts be compliant: a force by the depth d of their overlap, in place of impacts and rigid contact.
+
+        The normal force is f = stiffness d^exponent (1 + damping d'), and never pulls (Hunt and Crossley, 1975); the
+        friction is friction f s / sqrt(s^2 + slip_speed^2) against the slip of speed s. It acts at the midpoint of the
+        nearest points, inside of the smooth steps of any order, which end where a contact begins to press or to be
+        open. Compliant pairs may overlap in a start, also at the neutral pose; they are not among `pair_names`, and
+        `Trajectory.compliant_contacts` tells their forces. Soft against rigid things at once, in any mixture.
+
+        Shapes: a ball against a ball, capsule, box, cylinder, hull or halfspace; two capsules; a capsule, ellipsoid,
+        box or hull against a halfspace, on which each end of the capsule and each corner presses by a law of its own,
+        of this stiffness. Others are refused when the scene is made (EngineError).
+
+        Args:
+            a, b: bodies, parts or geometries. Without b: all pairs of a, but what is set for pairs counts more; of two
+                sides with a law of their own the softer one counts.
+            stiffness: [N/m^exponent]; None: rigid again.
+            exponent: 1 is a linear spring, 1.5 Hertz's contact (1882), at least 1.
+            damping: [s/m], >= 0. The restitution at the speed v is near 1 - 2/3 damping v where that is near 1.
+            friction: Coulomb's coefficient, >= 0; None: that of the pair (`set_contact`).
+            slip_speed: below which friction is viscous [m/s]. What rests on a slope creeps with about
+                slip_speed tan(slope) / friction.
+        """
+        law = None if stiffness is None else Compliance.checked(stiffness, exponent, damping, friction, slip_speed)
+        first = self._geometries(a, "a")
+        second = None if b is None else self._geometries(b, "b")
+        self._contact.compliance.set(first, second, law)
+        if second is not None:
+            self._warn_if_untested(first, second)
+        self._built = None
+
+    def _warn_if_untested(self, first: Sequence[str], second: Sequence[str]) -> None:
+        """Warn where what is set for the pairs between these geometries has no effect, because none is tested."""
+        index, rules = self._parts.names.geometries, self._contact
+        disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (rules.disabled, rules.enabled))
+        pairs = ((index[a], index[b]) for a in first for b in second if a != b)
+        reason = untested_reason(self._parts.assembly, self._parts.parts, disabled, enabled, pairs)
+        if reason is not None:
+            more = f" (and {len(first) * len(second) - 1} more)" if len(first) * len(second) > 1 else ""
+            remedy = ". scene.enable_pair(a, b), called before, tests it" if reason in ENABLED_BY_USER else ""
+            warnings.warn(
+                f"What is set for the contact of {first[0]!r} and {second[0]!r}{more} has no effect, because it is not "
+                f"tested: {reason}{remedy}", UnusedSettingWarning, stacklevel=3,
+            )  # fmt: skip
+
+    def disable_pair(self, a: Selector, b: Selector) -> None:
+        """Take all pairs between a and b out of the collision pairs."""
+        self._contact.disable(self._geometries(a, "a"), self._geometries(b, "b"))
+        self._built = None
+
+    def enable_pair(self, a: Selector, b: Selector) -> None:
+        """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""
+        self._contact.enable(self._geometries(a, "a"), self._geometries(b, "b"))
+        self._built = None
+
+    def _geometries(self, selector: Selector, argument: str) -> list[str]:
+        names = self._parts.names
+        known = list(names.geometries)
+        return [known[index] for index in names.select_geometries(selector, argument)]
