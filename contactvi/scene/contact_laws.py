@@ -151,7 +151,10 @@ class PairLaw:
     def words(self) -> str:
         """Return what is not the default as text."""
         given = [(f.name, getattr(self, f.name)) for f in fields(self) if getattr(self, f.name) != f.default]
-        return ", ".join(f"{name.replace('_', ' ')} {short(value)}" for name, value in given)
+        return ", ".join(
+            f"{name.removesuffix('_of_speed')} by the closing speed" if name.endswith("_of_speed") else
+            f"{name.replace('_', ' ')} {value}" for name, value in given
+        )  # fmt: skip
 
     @property
     def storable(self) -> bool:

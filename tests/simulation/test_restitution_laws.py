@@ -163,6 +163,7 @@ def test_laws_are_stored(tmp_path) -> None:
     scene.set_contact("ball", "ground", restitution=[(0.0, 0.9), (3.0, 0.2)], friction=0.3, **law)
     scene.set_contact("box", limit_energy=False)
     q0 = np.hstack([[0.0, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0], [2.0, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0]])
+    assert "restitution law newton, impact process incremental, restitution by the closing speed" in str(scene.report)
     run = cvi.simulate(scene, q0, duration=0.5, dt=0.01)
     run.save(tmp_path / "run.npz")
     again = cvi.simulate(cvi.Trajectory.load(tmp_path / "run.npz").scene, q0, duration=0.5, dt=0.01)
