@@ -387,9 +387,9 @@ class Scene:
     def constraint_rate(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """d phi/dt at fixed q, (m,)."""
 
-    def set_contact_law(self, pairs: Sequence[int], restitution: int, incremental: bool, keeps_energy: bool, tangential: float, e: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:
+    def set_contact_law(self, pairs: Sequence[int], restitution: int, incremental: bool, keeps_energy: bool, tangential: float, e: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, mu: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, static_mu: float | None, pull: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, axis_of: int, axis: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], shares: Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')]) -> None:
         """
-        Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e as a function of the closing speed (table, address of a C function, function) or None.
+        Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution; e as a function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis along which and across which friction has its shares.
         """
 
     def set_surface_motion(self, geometry: int, linear: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], angular: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], profile: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:

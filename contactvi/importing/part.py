@@ -41,6 +41,9 @@ class FileData:
         actuators: actuators of an MJCF, with the scene's names.
         contact: friction and restitution (None: the scene's) of a geometry (name,) or a pair (name, name), by the
             file's names.
+        surface_velocities: linear [m/s] and angular [rad/s] ones, (3,) each, of geometries whose surfaces move along
+            themselves, by the file's names.
+        adhesion: of pairs [N], by the file's names.
         limit_restitution: restitution of the limits of joints, None: the scene's.
         configurations: q (nq,) and v (nv,) of the part by name: keyframes, reference poses.
     """
@@ -49,6 +52,8 @@ class FileData:
     springs: dict[str, tuple[float, Any]] = field(default_factory=dict)
     actuators: list[Actuator] = field(default_factory=list)
     contact: dict[tuple[str, ...], tuple[float, float | None]] = field(default_factory=dict)
+    surface_velocities: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    adhesion: dict[tuple[str, str], float] = field(default_factory=dict)
     limit_restitution: float | None = None
     configurations: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 

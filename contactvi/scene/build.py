@@ -15,7 +15,7 @@ from contactvi.elements.element import Element
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
 from contactvi.scene.compliance import compliance_rows
-from contactvi.scene.contact_laws import PairLaw
+from contactvi.scene.contact_laws import PairLaw, check_friction
 from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.element_rows import Resolved, resolve
 from contactvi.scene.engine import EngineScene, make_engine_scene
@@ -59,7 +59,8 @@ class Built:
         pairs: Names of the tested pairs, in the engine's order.
         removed: Pairs that are not tested, with the reasons.
         overlaps: Pairs that overlap at the neutral pose, of which a run tests those that are apart in its start.
-        restitution, friction: Of the tested pairs, shapes (npairs,); what depends on the speed, at 1 m/s.
+        restitution, friction: Of the tested pairs, shapes (npairs,); what depends on the speed, at a closing speed of
+            1 m/s and a slip of zero.
         overlap_values: Restitution and friction of the pairs of `overlaps`, shape (2, n).
         laws: Laws of contact of the pairs that have one, each with the places of its pairs.
         surface_motions: Of the geometries whose surfaces move along themselves, by their names.
@@ -173,11 +174,14 @@ def build(
     mu = contact.friction.values(names, compliant)
     resolved.compliances = compliance_rows(contact.compliance, names, compliant, mu)
     tested_pairs = PairNames(names, chosen)
-    laws, restitution = contact.laws.laws(tested_pairs), contact.restitution.values(names, chosen)
+    laws = contact.laws.laws(tested_pairs)
+    restitution, friction = (np.array(rule.values(names, chosen)) for rule in (contact.restitution, contact.friction))
     for law, places in laws:
         if law.restitution_of_speed is not None:
-            restitution = np.array(restitution)
             restitution[places] = law.restitution_of_speed.at(1.0)
+        if law.friction_of_speed is not None:
+            friction[places] = law.friction_of_speed.at(0.0)
+        check_friction(law, friction[places], tested_pairs[places[0]])
     return Built(
         model,
         collision,
@@ -187,7 +191,7 @@ def build(
         removed,
         overlaps,
         restitution,
-        contact.friction.values(names, chosen),
+        friction,
         np.array([rule.values(names, overlaps.numbers) for rule in (contact.restitution, contact.friction)]),
         laws,
         {name: motion for name, motion in contact.surface_motions.items() if name in index},

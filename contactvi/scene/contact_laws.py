@@ -7,19 +7,46 @@ law, and cost nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
-from contactvi.errors import SceneError
-from contactvi.inputs import check_choice, flag, listed, real, short
+from contactvi.errors import InputError, SceneError
+from contactvi.inputs import check_choice, flag, listed, positive, real, short, vector
 from contactvi.scene.number_functions import NumberFunction, NumberTable, number_function
 from contactvi.scene.pair_rules import Rule, smaller
 
 RESTITUTION_LAWS = ("poisson", "newton", "energetic")
 IMPACT_PROCESSES = ("two-phase", "incremental")
+
+
+@dataclass(frozen=True)
+class FrictionAxis:
+    """Friction that depends on its direction: an axis of a surface, and the coefficients along it and across it.
+
+    Attributes:
+        geometry: in whose frame the axis is.
+        axis: (3,), unit; of a contact its part in the tangent plane counts.
+        along, across: Coulomb's coefficients, > 0; the friction of a direction is that of the ellipse with these.
+    """
+
+    geometry: str
+    axis: tuple[float, ...]
+    along: float
+    across: float
+    storable = True
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """The coefficients as shares of the larger one."""
+        largest = max(self.along, self.across)
+        return self.along / largest, self.across / largest
+
+    def to_data(self) -> Any:
+        """Return it as plain data."""
+        return [self.geometry, list(self.axis), self.along, self.across]
 
 
 @dataclass(frozen=True)
@@ -33,6 +60,11 @@ class PairLaw:
         limit_energy: whether restitution is lowered where it would make energy.
         tangential_restitution: of the slip, where friction holds it, in [0, 1].
         restitution_of_speed: coefficient by the closing speed, instead of the pair's number.
+        static_friction: coefficient of what sticks; None: as of what slides.
+        friction_of_speed: coefficient by the speed of the slip, instead of the pair's number.
+        friction_axis: of friction that depends on its direction.
+        adhesion: pull up to which the surfaces stay together [N].
+        adhesion_of_time: that pull by the time, instead of the number.
     """
 
     restitution_law: str = "poisson"
@@ -40,22 +72,49 @@ class PairLaw:
     limit_energy: bool = True
     tangential_restitution: float = 0.0
     restitution_of_speed: NumberFunction | None = None
+    static_friction: float | None = None
+    friction_of_speed: NumberFunction | None = None
+    friction_axis: FrictionAxis | None = None
+    adhesion: float = 0.0
+    adhesion_of_time: NumberFunction | None = None
 
     def engine(self, pair: tuple[str, str]) -> dict[str, Any]:
         """Return it as the arguments of the engine; `pair` names it in messages of its functions."""
-        e = self.restitution_of_speed
-        name = f"the restitution of {pair[0]!r} and {pair[1]!r}"
+
+        def of(function: NumberFunction | None, what: str) -> Any:
+            return None if function is None else function.engine(f"the {what} of {pair[0]!r} and {pair[1]!r}")
+
+        pull = self.adhesion_of_time
+        if pull is None and self.adhesion:
+            pull = NumberTable((0.0,), (self.adhesion,))
+        axis = self.friction_axis
         return {
             "restitution": RESTITUTION_LAWS.index(self.restitution_law),
             "incremental": self.impact_process == "incremental",
             "keeps_energy": self.limit_energy,
             "tangential": self.tangential_restitution,
-            "e": None if e is None else e.engine(name),
+            "e": of(self.restitution_of_speed, "restitution"),
+            "mu": of(self.friction_of_speed, "friction"),
+            "static_mu": self.static_friction,
+            "pull": of(pull, "adhesion"),
+            "axis_of": -1 if axis is None else pair.index(axis.geometry),
+            "axis": np.zeros(3) if axis is None else np.array(axis.axis),
+            "shares": np.ones(2) if axis is None else np.array(axis.shares),
         }
 
     def varies(self, kind: str) -> bool:
         """Whether the pair's "restitution" or "friction" depends on a speed, instead of being a number."""
-        return kind == "restitution" and self.restitution_of_speed is not None
+        return self.restitution_of_speed is not None if kind == "restitution" else self.rubs
+
+    @property
+    def rubs(self) -> bool:
+        """Whether its friction is not Coulomb's with one number."""
+        return self.static_friction is not None or self.friction_of_speed is not None or self.friction_axis is not None
+
+    @property
+    def adheres(self) -> bool:
+        """Whether its surfaces pull at each other."""
+        return self.adhesion > 0.0 or self.adhesion_of_time is not None
 
     @property
     def followed(self) -> bool:
@@ -65,10 +124,7 @@ class PairLaw:
     def words(self) -> str:
         """Return what is not the default as text."""
         given = [(f.name, getattr(self, f.name)) for f in fields(self) if getattr(self, f.name) != f.default]
-        return ", ".join(
-            f"{name.removesuffix('_of_speed')} by the closing speed" if name.endswith("_of_speed") else
-            f"{name.replace('_', ' ')} {value}" for name, value in given
-        )  # fmt: skip
+        return ", ".join(_words(name, value) for name, value in given)
 
     @property
     def storable(self) -> bool:
@@ -79,15 +135,35 @@ class PairLaw:
         """Return what is not the default as plain data; functions are left out."""
         plain = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
         return {
-            name: value.to_data() if isinstance(value, NumberTable) else value
+            name: value.to_data() if isinstance(value, NumberTable | FrictionAxis) else value
             for name, value in plain.items()
             if getattr(value, "storable", True)
         }
 
 
+def _argument(name: str) -> str:
+    """Return the argument of `Scene.set_contact` that gives a setting."""
+    return name.removesuffix("_of_speed").removesuffix("_of_time")
+
+
+def _words(name: str, value: Any) -> str:
+    """Return a setting that is not the default in words."""
+    if isinstance(value, FrictionAxis):
+        axis = ", ".join(f"{x:g}" for x in value.axis)
+        return f"friction {value.along:g} along ({axis}) of {value.geometry!r} and {value.across:g} across"
+    for ending, of in (("_of_speed", "the speed"), ("_of_time", "the time")):
+        if name.endswith(ending):
+            return f"{name.removesuffix(ending)} by {of}"
+    return f"{name.replace('_', ' ')} {value}"
+
+
 DEFAULTS = {f.name: f.default for f in fields(PairLaw)}
 # What a scene file says of contacts: the two numbers, the first of which may be a table, and the settings.
-CONTACT_SETTINGS = ("restitution", "friction", *(name for name in DEFAULTS if not name.endswith("_of_speed")))
+CONTACT_SETTINGS = (
+    "restitution",
+    "friction",
+    *(name for name in DEFAULTS if not name.endswith(("_of_speed", "_of_time"))),
+)
 
 
 def checked_setting(name: str, value: Any) -> Any:
@@ -101,31 +177,70 @@ def checked_setting(name: str, value: Any) -> Any:
             return value
         case "limit_energy":
             return flag(name, value)
+        case "static_friction" | "adhesion":
+            return real(name, value, 0.0)
     return real(name, value, 0.0, 1.0)  # tangential_restitution
 
 
+def _is_function(value: Any) -> bool:
+    """Whether a coefficient is a table or a function, and not a number or a pair of numbers."""
+    return callable(value) or np.ndim(value) > 1
+
+
 def checked_contact(
-    restitution: Any, friction: Any, varies: bool, **settings: Any
-) -> tuple[dict[str, float], dict[str, Any]]:
+    rules: LawRules, first: Sequence[str] | None, restitution: Any, friction: Any, friction_axis: Any, adhesion: Any,
+    **settings: Any,
+) -> tuple[dict[str, float], dict[str, Any]]:  # fmt: skip
     """Return the numbers and the settings of laws that are given, checked; None: not given.
 
     Args:
-        varies: whether some restitution depends on the speed, which a number then replaces.
+        rules: those so far: a number replaces a function that was given for it.
+        first: the geometries that were named first.
 
     Raises:
         InputError: one of them is not usable.
     """
     numbers: dict[str, float] = {}
     laws = {name: checked_setting(name, value) for name, value in settings.items() if value is not None}
-    if callable(restitution) or np.ndim(restitution) > 0:
+    if _is_function(restitution):
         laws["restitution_of_speed"] = number_function("restitution", restitution, 0.0, 1.0)
     elif restitution is not None:
         numbers["restitution"] = real("restitution", restitution, 0.0, 1.0)
-        if varies:
+        if "restitution_of_speed" in rules.rules:
             laws["restitution_of_speed"] = None
-    if friction is not None:
+    if np.ndim(friction) == 1 or friction_axis is not None:
+        laws["friction_axis"] = _friction_axis(first, friction, friction_axis)
+        numbers["friction"] = max(laws["friction_axis"].along, laws["friction_axis"].across)
+    elif _is_function(friction):
+        laws["friction_of_speed"] = number_function("friction", friction, 0.0, np.inf)
+    elif friction is not None:
         numbers["friction"] = real("friction", friction, 0.0)
+        for name in ("friction_of_speed", "friction_axis", "static_friction"):
+            if name in rules.rules and name not in laws:
+                laws[name] = None
+    if callable(adhesion) or np.ndim(adhesion) > 0:
+        laws["adhesion_of_time"] = number_function("adhesion", adhesion, 0.0, np.inf, "s")
+    elif adhesion is not None:
+        laws["adhesion"] = real("adhesion", adhesion, 0.0)
+        if "adhesion_of_time" in rules.rules:
+            laws["adhesion_of_time"] = None
     return numbers, laws
+
+
+def _friction_axis(first: Sequence[str] | None, friction: Any, axis: Any) -> FrictionAxis:
+    """Return the checked axis of the one geometry that is named first."""
+    expected = "friction=(along, across) of two numbers > 0 with friction_axis=(x, y, z), for one geometry named first"
+    if axis is None or np.shape(friction) != (2,) or first is None or len(first) != 1:
+        named = "none" if first is None else ", ".join(map(repr, first))
+        raise InputError(
+            "Friction that depends on its direction is incomplete", name="friction_axis", expected=expected,
+            got=f"friction={short(friction)}, friction_axis={short(axis)}, of {named}",
+            remedy="For example set_contact('table', friction=(0.2, 0.6), friction_axis=(1, 0, 0))",
+        )  # fmt: skip
+    along, across = (positive("friction", float(mu), "two numbers > 0") for mu in friction)
+    direction = vector("friction_axis", axis, 3)
+    size = positive("friction_axis", float(np.linalg.norm(direction)), "a direction that is not zero")
+    return FrictionAxis(first[0], tuple(float(x) for x in direction / size), along, across)
 
 
 @dataclass(frozen=True)
@@ -144,7 +259,7 @@ class _Agreed:
             f"The two sides of a contact have different values of {self.name}",
             expected="one value for the pair",
             got=f"{short(values[0])} of {a!r}, {short(values[1])} of {b!r}",
-            remedy=f"Set it for the pair: scene.set_contact({a!r}, {b!r}, {self.name.removesuffix('_of_speed')}=...)",
+            remedy=f"Set it for the pair: scene.set_contact({a!r}, {b!r}, {_argument(self.name)}=...)",
         )
 
 
@@ -156,12 +271,11 @@ class LawRules:
 
     def set(self, name: str, first: Sequence[str] | None, second: Sequence[str] | None, value: Any) -> None:
         """Set a setting for all pairs, for geometries (`first`), or between `first` and `second`."""
-        self.rules.setdefault(name, Rule(DEFAULTS[name], _Agreed(name))).set(first, second, value)
+        self.rule(name).set(first, second, value)
 
-    @property
-    def vary_restitution(self) -> bool:
-        """Whether some restitution depends on the speed."""
-        return "restitution_of_speed" in self.rules
+    def rule(self, name: str) -> Rule:
+        """Return the rule of a setting."""
+        return self.rules.setdefault(name, Rule(DEFAULTS[name], _Agreed(name)))
 
     def laws(self, names: Sequence[tuple[str, str]]) -> list[tuple[PairLaw, list[int]]]:
         """Return the laws of pairs of names that have one, each with the places of its pairs."""
@@ -183,6 +297,21 @@ class LawRules:
         return list(found.items())
 
 
+def check_friction(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) -> None:
+    """Raise SceneError where a pair with a law of friction has none where it begins to slide, or less at rest."""
+    if not law.rubs:
+        return
+    least, rest = float(np.min(friction)), law.static_friction
+    if least > 0.0 and (rest is None or rest >= float(np.max(friction))):
+        return
+    raise SceneError(
+        f"The friction of {pair[0]!r} and {pair[1]!r} is not usable",
+        expected="friction > 0 where a slip begins, and static_friction of at least that",
+        got=f"friction {least:g}" + ("" if rest is None else f", static_friction {rest:g}"),
+        remedy=f"scene.set_contact({pair[0]!r}, {pair[1]!r}, friction=..., static_friction=...)",
+    )
+
+
 def laws_to_data(laws: Sequence[tuple[PairLaw, Sequence[int]]], names: Sequence[tuple[str, str]]) -> list[Any]:
     """Return laws as plain data: each with the names of its pairs."""
     return [{"pairs": [list(names[k]) for k in places], **law.to_data()} for law, places in laws]
@@ -196,7 +325,9 @@ def laws_from_data(rows: Sequence[Mapping[str, Any]]) -> LawRules:
         for name, value in row.items():
             if name == "pairs":
                 continue
-            if name.endswith("_of_speed"):
+            if name == "friction_axis":
+                value = FrictionAxis(str(value[0]), tuple(map(float, value[1])), float(value[2]), float(value[3]))
+            elif name.endswith(("_of_speed", "_of_time")):
                 value = NumberTable(*(tuple(map(float, numbers)) for numbers in value))
             else:
                 value = checked_setting(name, value)

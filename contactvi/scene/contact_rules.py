@@ -33,12 +33,17 @@ class ContactRules:
     surface_motions: dict[str, SurfaceMotion] = field(default_factory=dict)
 
     def add_part(self, part: Part) -> None:
-        """Take over friction and restitution of a model's file; what is set for geometries and pairs counts more."""
+        """Take over what a model's file says of contacts; what is set for geometries and pairs counts more."""
         for names, (friction, restitution) in part.data.contact.items():
             scene_names = [part.prefix + name for name in names]
             self.friction.set_from_file(scene_names, friction)
             if restitution is not None:
                 self.restitution.set_from_file(scene_names, restitution)
+        for names, pull in part.data.adhesion.items():
+            self.laws.rule("adhesion").set_from_file([part.prefix + name for name in names], pull)
+        for name, (linear, angular) in part.data.surface_velocities.items():
+            motion = SurfaceMotion.checked(linear, angular, None)
+            self.surface_motions.setdefault(part.prefix + name, motion)
 
     def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
         """Switch off all pairs of one of `first` and one of `second`."""

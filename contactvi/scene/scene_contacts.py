@@ -31,7 +31,10 @@ class SceneContacts:
         b: Selector | None = None,
         *,
         restitution: float | ArrayLike | Callable[[float], float] | None = None,
-        friction: float | None = None,
+        friction: float | ArrayLike | Callable[[float], float] | None = None,
+        friction_axis: ArrayLike | None = None,
+        static_friction: float | None = None,
+        adhesion: float | ArrayLike | Callable[[float], float] | None = None,
         restitution_law: str | None = None,
         impact_process: str | None = None,
         limit_energy: bool | None = None,
@@ -39,7 +42,7 @@ class SceneContacts:
     ) -> None:
         """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts, by default 0.5 and 0, and their laws.
 
-        Friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
+        Friction acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
         an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
@@ -50,7 +53,15 @@ class SceneContacts:
             a, b: of the contacts that are meant.
             restitution: a number, a table (n, 2) of closing speeds [m/s] and values, or a function of the closing speed
                 (a compiled one by its `address`, as of numba.cfunc: float64(float64)).
-            friction: Coulomb's coefficient.
+            friction: Coulomb's coefficient; or, as of restitution, a table or a function of the speed of the slip
+                (Stribeck), >= 0, which counts in an impact as well, by the slip before it; or two numbers > 0,
+                along `friction_axis` and across it: friction is within the ellipse with these, and dissipates most.
+            friction_axis: (3,), in the frame of a, which is one geometry then.
+            static_friction: coefficient of what sticks in persistent contact, which begins to slide with `friction`;
+                by default that of a slip of zero.
+            adhesion: pull [N] up to which the surfaces stay together once they touch, by default 0, shared by the
+                points that touch; the friction is that of the normal force and the pull together. Or a table (n, 2) of
+                times [s] and pulls, or a function of the time. Scenes with it take no dense steps (contact_mode).
             restitution_law: "poisson" (default), the ratio of the impulses of expansion and compression; "newton", of
                 the speeds after and before; "energetic" (Stronge), whose square is the ratio of the works of the
                 normal impulse. Without friction all three are the same.
@@ -68,8 +79,9 @@ class SceneContacts:
         second = None if b is None else self._geometries(b, "b")
         rules = self._contact
         numbers, laws = checked_contact(
-            restitution, friction, rules.laws.vary_restitution, restitution_law=restitution_law,
-            impact_process=impact_process, limit_energy=limit_energy, tangential_restitution=tangential_restitution,
+            rules.laws, first, restitution, friction, friction_axis, adhesion, static_friction=static_friction,
+            restitution_law=restitution_law, impact_process=impact_process, limit_energy=limit_energy,
+            tangential_restitution=tangential_restitution,
         )  # fmt: skip
         for what, value in numbers.items():
             rule = rules.restitution if what == "restitution" else rules.friction

@@ -11,7 +11,15 @@ from rich.table import Table
 from contactvi.errors import InputError, did_you_mean
 from contactvi.reproduce.check import Check
 from contactvi.tables import name_table
-from contactvi.verify import cases_contact, cases_forced, cases_impact, cases_laws, cases_loops, cases_several
+from contactvi.verify import (
+    cases_contact,
+    cases_forced,
+    cases_friction,
+    cases_impact,
+    cases_laws,
+    cases_loops,
+    cases_several,
+)
 from contactvi.verify.case import LIMIT, Case, Runs
 
 PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
@@ -19,6 +27,7 @@ CASES: tuple[Case, ...] = (
     *cases_impact.CASES,
     *cases_several.CASES,
     *cases_laws.CASES,
+    *cases_friction.CASES,
     *cases_contact.CASES,
     *cases_forced.CASES,
     *cases_loops.CASES,

@@ -54,8 +54,16 @@ NumberFunction number_function(Scene& s, const std::optional<Given>& value) {
 }
 
 void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, bool incremental, bool keeps_energy,
-                     double tangential, const std::optional<Given>& e) {
+                     double tangential, const std::optional<Given>& e, const std::optional<Given>& mu,
+                     std::optional<double> static_mu, const std::optional<Given>& pull, int axis_of, const Vec3& axis,
+                     const Eigen::Vector2d& shares) {
   ContactLaw law;
+  law.mu = number_function(s, mu);
+  if (static_mu) law.static_mu = *static_mu;
+  law.pull = number_function(s, pull);
+  law.axis_of = axis_of;
+  law.axis = axis;
+  law.shares = shares;
   if (restitution < 0 || restitution > 2) throw Error("there is no such law of restitution");
   law.restitution = static_cast<RestitutionLaw>(restitution);
   law.incremental = incremental;
@@ -84,13 +92,17 @@ void set_surface_motion(Scene& s, int geometry, const Vec3& linear, const Vec3& 
 void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
   scene.def(
       "set_contact_law", &set_contact_law, "pairs"_a, "restitution"_a, "incremental"_a, "keeps_energy"_a,
-      "tangential"_a, "e"_a.none(),
+      "tangential"_a, "e"_a.none(), "mu"_a.none(), "static_mu"_a.none(), "pull"_a.none(), "axis_of"_a, "axis"_a,
+      "shares"_a,
       "Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is "
-      "followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e "
-      "as a function of the closing speed (table, address of a C function, function) or None.");
-  scene.def("set_surface_motion", &set_surface_motion, "geometry"_a, "linear"_a, "angular"_a, "profile"_a.none(),
-            "Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by "
-            "the time (table, address of a C function, function) or None.");
+      "followed through its impulse, whether e is lowered so that no energy is made, tangential restitution; e as a "
+      "function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C "
+      "function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis "
+      "along which and across which friction has its shares.");
+  scene.def(
+      "set_surface_motion", &set_surface_motion, "geometry"_a, "linear"_a, "angular"_a, "profile"_a.none(),
+      "Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by "
+      "the time (table, address of a C function, function) or None.");
   m.def(
       "follow_impact",
       [](const Mat3& G, const Vec3& w, double mu, double e, int law) {

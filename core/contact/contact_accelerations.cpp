@@ -55,6 +55,8 @@ bool ContactStep::accelerations(StepEquations& equations, const VecCRef& q, cons
   }
   node0_ = kept0;
   node1_ = kept1;
+  for (std::size_t i = 0; i < contacts_.size() && adheres_; ++i)
+    b_ -= adhesion(*scene_, contacts_[i], node1_.t) * G_end_.col(row_[i]);
   return b_.allFinite();
 }
 
@@ -78,6 +80,14 @@ bool ContactStep::solve_forces(VecX& f) {
   return true;
 }
 
+// The friction of a contact at the present speeds of the rows.
+void ContactStep::set_force_coefficient(std::size_t i, bool slides, ConeContact& cone) const {
+  const int guard = contacts_[i].point.guard;
+  if (!scene_->friction_varies(guard)) return;
+  cone.mu = slides ? scene_->sliding_friction(guard, force_frame(i).slip(force_slip(i)).norm())
+                   : scene_->static_friction(guard);
+}
+
 bool ContactStep::force_problem(VecX& value) {
   const double still = kStill * (1.0 + v1_.cwiseAbs().maxCoeff());
   for (int k = 0; k < friction_rows_; ++k) {
@@ -90,9 +100,10 @@ bool ContactStep::force_problem(VecX& value) {
     ConeContact& cone = force_cones_[friction_rows_ + i];
     cone = cones_[friction_rows_ + i];
     cone.frozen = cone.rows == 3 && outcomes_[i].slips;
+    if (friction_varies_) set_force_coefficient(i, cone.frozen, cone);
     if (!cone.frozen) continue;
     const ContactOutcome& out = outcomes_[i];
-    cone.d = Eigen::Vector2d(out.slip_W.dot(out.t1), out.slip_W.dot(out.t2)).normalized();
+    cone.d = frame(i, node1_).rows(out.slip_W).normalized();
   }
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
   if (!solve_forces(change_)) return false;
@@ -147,8 +158,9 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
     ConeContact& cone = force_cones_[friction_rows_ + i];
     cone = cones_[friction_rows_ + i];
     cone.frozen = cone.rows == 3 && !contacts_[i].sticks;
+    if (friction_varies_) set_force_coefficient(i, cone.frozen, cone);
     if (!cone.frozen) continue;
-    const Eigen::Vector2d known = force_tangents(i).transpose() * directions[i];
+    const Eigen::Vector2d known = force_frame(i).rows(directions[i]);
     const Eigen::Vector2d slip = w_end_.segment<2>(row_[i] + 1);
     cone.d = slip.norm() > still ? Eigen::Vector2d((slip.dot(known) < 0.0 ? -slip : slip).normalized())
                                  : Eigen::Vector2d(known.normalized());

@@ -75,7 +75,8 @@ void ContactStep::set_rows() {
   reference_positions_.resize(n);
   paradox_.resize(n);
   rows_ = bilateral_ + friction_rows_;
-  iterated_ = false;
+  iterated_ = friction_varies_ = false;
+  adheres_ = any_adhesion(*scene_, contacts_);
   node1_.known = false;  // it was that of other contacts
   for (std::size_t i = 0; i < n; ++i) {
     row_[i] = rows_;
@@ -86,6 +87,7 @@ void ContactStep::set_rows() {
     cones_[friction_rows_ + i].mu = contacts_[i].mu;
     const int guard = contacts_[i].point.guard;
     iterated_ |= scene_->is_pair(guard) && scene_->pairs[guard].refined;
+    friction_varies_ |= scene_->friction_varies(guard);
   }
   const int nv = scene_->tree.nv;
   for (Node* node : {&node0_, &node1_}) {
@@ -150,7 +152,7 @@ void ContactStep::set_contact_rows(std::size_t i, double t, Node& node) {
   const PersistentContact& persistent = contacts_[i];
   const int guard = persistent.point.guard;
   guards_->rows(guard, node.at[i], node.t1[i], node.W.middleCols(row_[i], persistent.rows()));
-  if (persistent.carried && persistent.mu > 0.0)
+  if (guards_->moves(guard) && persistent.mu > 0.0)
     node.rate.segment<2>(row_[i] + 1) = guards_->surface_velocity(guard, node.at[i], node.t1[i], t);
 }
 
@@ -232,6 +234,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
   start_node(q0);
   integrator_.begin(q0, h, tau, v);
   set_initial_impulses(h);
+  if (adheres_) set_pulls(h);
   double best = INFINITY;
   int idle = 0;
   double last = INFINITY, relative = INFINITY;
@@ -243,6 +246,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     counters.cost += costs_.contact_iteration(rows_);
     p_start_ = p0;
     p_start_.noalias() += node0_.W * lambda_;
+    if (adheres_) p_start_.noalias() -= node0_.W * pull_;
     const double stage_change = integrator_.iterate(p_start_, k == 0, k == 0);
     if (!std::isfinite(stage_change)) break;
     if (k == 0) {
@@ -252,6 +256,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     integrator_.stage_velocity(v_);
     set_row_velocities(h);
     if (!y_.allFinite()) break;
+    if (friction_varies_) follow_slips();
     if (!settled) {
       delassus(S_, DinvW_, G_);
       if (turns_over()) {
@@ -299,6 +304,28 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
   why_ = "the step with persistent contacts does not converge";
   if (node1_.known) constraints_met(h, false);
   return false;
+}
+
+// The adhesion of a step of length h, half of it at each end.
+void ContactStep::set_pulls(double h) {
+  const double t = integrator_.time();
+  pull_.setZero(rows_);
+  pull_end_.setZero(rows_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    pull_[row_[i]] = 0.5 * h * adhesion(*scene_, contacts_[i], t);
+    pull_end_[row_[i]] = 0.5 * h * adhesion(*scene_, contacts_[i], t + h);
+  }
+}
+
+// The friction of contacts that slide is that of their speed over the step, of those that stick that of rest.
+void ContactStep::follow_slips() {
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const int guard = contacts_[i].point.guard;
+    if (!scene_->friction_varies(guard)) continue;
+    const double speed = frame(i, node1_).slip(y_.segment<2>(row_[i] + 1)).norm();
+    cones_[friction_rows_ + i].mu =
+        contacts_[i].sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, speed);
+  }
 }
 
 // The second iteration of a step has made a change, the first one has made another one. Where the second is of the size

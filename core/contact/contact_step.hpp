@@ -151,16 +151,12 @@ class ContactStep final : public Stepper {
   };
   bool forces_at(StepEquations& equations, const VecCRef& q, const VecCRef& v, double t, const VecX& tau,
                  const std::vector<Vec3>& directions, Forces& out);
-  // Of its rows: the first one of a contact, their Delassus matrix, and tangents of contact i.
+  // Of its rows: the first one of a contact, their Delassus matrix, and speeds and tangents of contact i.
   int row(std::size_t i) const { return row_[i]; }
   const MatX& force_matrix() const { return G_end_; }
   double force_normal_speed(std::size_t i) const { return w_end_[row_[i]]; }
   auto force_slip(std::size_t i) const { return w_end_.segment<2>(row_[i] + 1); }
-  Eigen::Matrix<double, 3, 2> force_tangents(std::size_t i) const {
-    Eigen::Matrix<double, 3, 2> both;
-    both << node1_.t1[i], node1_.at[i].normal.cross(node1_.t1[i]);
-    return both;
-  }
+  TangentFrame force_frame(std::size_t i) const { return frame(i, node1_); }
   int joint_row(std::size_t k) const { return bilateral_ + static_cast<int>(k); }
   VecX of_joints(const VecX& rows) const { return rows.segment(bilateral_, friction_rows_); }
   // Smooth steps have led to a state with this velocity.
@@ -168,6 +164,12 @@ class ContactStep final : public Stepper {
   // Scale of the forces that the last call of persistent_forces found [N]: the largest of them, or the weight on a
   // contact if that is larger.
   double force_scale() const { return force_scale_; }
+  // The coefficient of friction of a contact becomes that with which it sticks or slides now.
+  void set_coefficient(PersistentContact& c) const {
+    const int guard = c.point.guard;
+    if (!scene_->friction_varies(guard)) return;
+    c.mu = c.sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, c.slip.norm());
+  }
   // Slips are numbered: those of the contacts, then those of the joints with friction. slip_ends: whether slip i came
   // to rest or reversed in the step. slip_at_start: its speed there. slip_left: its speed at the end of the step if the
   // friction had gone on, negative if the slip has reversed, -infinity where it has so for most of the step.
@@ -240,6 +242,11 @@ class ContactStep final : public Stepper {
   double contact_matrix(int row, int column) const;
   void set_place(const ContactPoint& point, std::size_t i, Node& node) const;
   void set_contact_rows(std::size_t i, double t, Node& node);
+  TangentFrame frame(std::size_t i, const Node& node) const {
+    return guards_->frame(contacts_[i].point.guard, node.at[i], node.t1[i]);
+  }
+  void set_pulls(double h);
+  void follow_slips();
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1, const MotionValues& motions = {});
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
@@ -267,6 +274,7 @@ class ContactStep final : public Stepper {
   void set_force_rows(StepEquations& equations, const VecCRef& v);
   bool solve_forces(VecX& f);
   bool force_problem(VecX& value);
+  void set_force_coefficient(std::size_t i, bool slides, ConeContact& cone) const;
 
   const Scene* scene_;
   Guards* guards_;
@@ -296,6 +304,8 @@ class ContactStep final : public Stepper {
   std::vector<double> paradox_;  // A of each contact (ContactOutcome)
   std::vector<Vec3>
       reference_positions_;  // positions of material points in the plane's body frame, from which slip counts
+  bool adheres_ = false, friction_varies_ = false;  // whether some contact does, whether that of some contact does
+  VecX pull_, pull_end_;  // impulses of adhesion along the rows, in the step's first half and its second one [N s]
   VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, p_given_, q1_, p1_, v1_, dv_;
   MatX DinvW_, S_, G_, MinvW_, right_sides_, G_end_, G_sub_, rates_;
   VecX b_sub_, x_, rest_;

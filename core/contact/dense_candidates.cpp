@@ -13,13 +13,9 @@ constexpr double kOpen = 0.25;            // of its motion: a gap that is wider 
 constexpr double kAnyTurn = 2.0;          // above the sine of any angle: a crossing of edges becomes a plane
 }  // namespace
 
-Vec3 DenseContact::position_W() const {
-  return position[0] * at0.normal + position[1] * t1_0 + position[2] * at0.normal.cross(t1_0);
-}
+Vec3 DenseContact::position_W() const { return position[0] * at0.normal + frame(false).force(position.tail<2>()); }
 
-Vec3 DenseContact::velocity_W() const {
-  return velocity[0] * at1.normal + velocity[1] * t1_1 + velocity[2] * at1.normal.cross(t1_1);
-}
+Vec3 DenseContact::velocity_W() const { return velocity[0] * at1.normal + frame(true).force(velocity.tail<2>()); }
 
 void DenseCandidates::begin(const VecCRef& q0, double h, double nominal_h) {
   q0_ = q0;
@@ -160,6 +156,7 @@ bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, co
   c.point = point;
   c.joined = joined;
   c.mu = scene_->friction(point.guard);
+  c.shares = guards_->has_axis(point.guard) ? scene_->law(point.guard)->shares : Eigen::Vector2d(1.0, 1.0);
   c.restitution = scene_->restitution(point.guard);
   set_law(c, law, near);
   set_start_impulses(c, impulses);
@@ -171,7 +168,7 @@ void DenseCandidates::set_law(DenseContact& c, const ContactPoint& law, const Ne
   c.law = law;
   evaluate(law, &near.witness0, c.at0);
   c.allowed = std::min(near.allowed, allowed(c.at0.gap));
-  c.t1_0 = scene_->is_pair(c.point.guard) ? any_tangent(c.at0.normal) : Vec3(Vec3::Zero());
+  c.t1_0 = scene_->is_pair(c.point.guard) ? guards_->tangent(c.point.guard, c.at0.normal) : Vec3(Vec3::Zero());
 }
 
 const DenseCandidates::Near& DenseCandidates::near_of(int guard) const {
@@ -194,8 +191,10 @@ void DenseCandidates::set_start_impulses(DenseContact& c, const std::vector<Dens
     return impulse.guard == c.point.guard && impulse.feature == c.point.feature;
   });
   if (last == impulses.end()) return;
-  const Vec3 t2 = c.at0.normal.cross(c.t1_0);
-  auto along = [&](const Vec3& f) { return Vec3(f.dot(c.at0.normal), f.dot(c.t1_0), f.dot(t2)); };
+  const auto along = [&](const Vec3& f) {
+    const Eigen::Vector2d tangential = c.frame(false).impulses(f);
+    return Vec3(f.dot(c.at0.normal), tangential[0], tangential[1]);
+  };
   const bool pair = scene_->is_pair(c.point.guard);
   c.position = h_ * (pair ? along(last->position_force) : last->position_force);
   c.velocity = h_ * (pair ? along(last->velocity_force) : last->velocity_force);

@@ -24,7 +24,12 @@ struct DenseContact {
   bool joined;   // found where it overlaps at the end of a motion, not at the start of the step
   // Of surfaces that move along themselves, the velocities of the tangential rows at the start and the end [m/s].
   Eigen::Vector2d drift0, drift1;
+  Eigen::Vector2d shares;  // of friction along the tangents (TangentFrame)
   int rows() const { return mu > 0.0 ? 3 : 1; }
+  TangentFrame frame(bool at_end) const {
+    return at_end ? TangentFrame{t1_1, at1.normal.cross(t1_1), shares}
+                  : TangentFrame{t1_0, at0.normal.cross(t1_0), shares};
+  }
   bool loaded() const { return position[0] + velocity[0] > 0.0; }
   Vec3 position_W() const;
   Vec3 velocity_W() const;

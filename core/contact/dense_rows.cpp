@@ -85,7 +85,7 @@ void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements
   BlockContact& block = add_block(first, second, c.rows());
   block.mu = c.mu;
   const Vec3& t1 = at_end ? c.t1_1 : c.t1_0;
-  const Vec3 directions[3] = {contact.normal, t1, contact.normal.cross(t1)};
+  const Vec3 directions[3] = {contact.normal, c.shares[0] * t1, c.shares[1] * contact.normal.cross(t1)};
   const int size_1 = problem_.size(first);
   const int column_2 = block.column + block.rows * size_1;
   if (tree_a >= 0) add_rows(block.column, first, contact.body_a, contact.point_a, directions, block.rows, -1.0, at);

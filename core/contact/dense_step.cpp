@@ -12,6 +12,7 @@ namespace contactvi {
 
 namespace {
 constexpr int kStageIterations = 40;
+constexpr double kStill = 1e-11;          // of the speeds: a slip below it is rest, with the friction of rest
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
 constexpr int kGapIterations = 30, kFirstGapIterations = 3;
@@ -238,7 +239,7 @@ void DenseStep::set_slips() {
   for (int i : active_) {
     DenseContact& c = all[i];
     if (c.rows() == 1 || !c.loaded()) continue;
-    c.t1_1 = carried_tangent(c.t1_0, c.at0.normal, c.at1.normal);
+    c.t1_1 = end_tangent(c);
     c.drift1 = drift(c, true);
     lasting_.push_back(i);
   }
@@ -265,6 +266,27 @@ double DenseStep::widest_loaded_gap() const {
   return widest;
 }
 
+// The first tangent of a contact at the end of the step, where the bodies are placed.
+Vec3 DenseStep::end_tangent(const DenseContact& c) {
+  if (!scene_->is_pair(c.point.guard)) return Vec3::Zero();
+  return guards_->has_axis(c.point.guard) ? guards_->tangent(c.point.guard, c.at1.normal)
+                                          : carried_tangent(c.t1_0, c.at0.normal, c.at1.normal);
+}
+
+// Friction that depends on the slip is that of its speed at the start of the step.
+void DenseStep::set_friction() {
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    DenseContact& c = candidates_.contacts()[active_[i]];
+    const int guard = c.point.guard;
+    if (c.rows() == 1 || !scene_->friction_varies(guard)) continue;
+    const Eigen::Vector2d w(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_));
+    const double slip = c.frame(false).slip(w + c.drift0).norm();
+    const bool sticks = slip <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+    c.mu = sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, slip);
+    rows_.problem().contacts[i].mu = c.mu;
+  }
+}
+
 // What surfaces that move along themselves add to the tangential velocities of a contact, where the bodies are placed.
 Eigen::Vector2d DenseStep::drift(const DenseContact& c, bool at_end) {
   if (!guards_->moves(c.point.guard)) return Eigen::Vector2d::Zero();
@@ -287,6 +309,7 @@ bool DenseStep::position_problem() {
   guards_->place(q0_);
   rows_.set(all, active_, false, guards_->placements(), h_);
   for (DenseContact& c : all) c.drift0 = drift(c, false);
+  set_friction();
   BlockProblem& problem = rows_.problem();
   lambda_.setZero(problem.rows());
   mobility_.assign(active_.size(), 0.0);
@@ -385,7 +408,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
     // A point whose gap is larger than what its impulse moves it by is open: that impulse is an error of the solver.
     const double lift = c.position[0] * mobility_[i] * h_;
     c.closed = c.at1.gap <= std::max(kTouching, lift);
-    c.t1_1 = scene_->is_pair(c.point.guard) ? carried_tangent(c.t1_0, c.at0.normal, c.at1.normal) : Vec3(Vec3::Zero());
+    c.t1_1 = end_tangent(c);
     c.drift1 = drift(c, true);
     if (c.closed) active_.push_back(i);
   }
@@ -551,9 +574,8 @@ void DenseStep::set_results(const VecX& lambda) {
     const BlockContact& block = rows_.block(i);
     c.velocity.head(block.rows) = lambda.segment(block.row, block.rows);
     if (block.rows == 3) {
-      const Vec3 t2 = c.at1.normal.cross(c.t1_1);
-      c.slip_W =
-          (rows_.velocity(i, 1, v1_) + c.drift1[0]) * c.t1_1 + (rows_.velocity(i, 2, v1_) + c.drift1[1]) * t2;
+      const Eigen::Vector2d w(rows_.velocity(i, 1, v1_), rows_.velocity(i, 2, v1_));
+      c.slip_W = c.frame(true).slip(w + c.drift1);
       c.slip_speed = c.slip_W.norm();
     }
   }

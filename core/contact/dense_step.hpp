@@ -140,6 +140,8 @@ class DenseStep {
   BlockOptions solver_options() const;
   double place_end();
   double offset(const DenseContact& c, std::size_t i) const;
+  Vec3 end_tangent(const DenseContact& c);
+  void set_friction();
   Eigen::Vector2d drift(const DenseContact& c, bool at_end);
   bool any_surface_moves() const;
   double constraint_work() const;

@@ -23,6 +23,7 @@ bool ContactStep::velocity_impulses() {
   end_node(q1_, integrator_.time() + h_);
   integrator_.place_node(q1_);
   right_sides_.resize(p_minus_.size(), rows_ + 1);
+  if (adheres_) p_minus_.noalias() -= node1_.W * pull_end_;
   right_sides_ << node1_.W, p_minus_;
   integrator_.solve_masses(right_sides_);
   MinvW_ = right_sides_.leftCols(rows_);
@@ -48,14 +49,13 @@ bool ContactStep::velocity_impulses() {
     if (out.active) active_.push_back(static_cast<int>(i));
     if (contacts_[i].mu == 0.0) continue;
     const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
-    const double limit = contacts_[i].mu * lambda_[r];
+    const double limit = cones_[friction_rows_ + i].mu * lambda_[r];
     const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
     out.slipped = on_cone && s.norm() > kSlipping * speed;
     if (!out.slipped) continue;
     out.slip = s;
     cones_[friction_rows_ + i].d = s.normalized();
-    const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
-    out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
+    out.turned = contacts_[i].slip.dot(frame(i, node1_).slip(s)) < 0.0;
   }
   classify_joint_friction(speed);
   lambda_end_ = lambda_;
@@ -176,7 +176,8 @@ void ContactStep::set_outcomes() {
     const Contact &c0 = node0_.at[i], &c1 = node1_.at[i];
     out.contact = c1;
     out.t1 = node1_.t1[i];
-    out.t2 = c1.normal.cross(out.t1);
+    const TangentFrame start = frame(i, node0_), end = frame(i, node1_);
+    out.t2 = end.t2;
     out.w_n = w_end_[r];
     out.position_impulse = Vec3(lambda_[r], 0, 0);
     out.velocity_impulse = Vec3(lambda_end_[r], 0, 0);
@@ -187,10 +188,9 @@ void ContactStep::set_outcomes() {
     if (persistent.mu > 0.0) {
       out.position_impulse.tail<2>() = lambda_.segment<2>(r + 1);
       out.velocity_impulse.tail<2>() = lambda_end_.segment<2>(r + 1);
-      out.slip_W = w_end_[r + 1] * out.t1 + w_end_[r + 2] * out.t2;
+      out.slip_W = end.slip(w_end_.segment<2>(r + 1));
       out.slips = out.slip_W.norm() > kSlipping * speed;
     }
-    const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
     if (persistent.mu > 0.0 && !(persistent.sticks && !out.slipped && !out.slips)) {
       const Eigen::Vector2d before = slip_before(i);
       const Eigen::Vector2d own = 0.5 * (node0_.rate + node1_.rate).segment<2>(r + 1);
@@ -200,10 +200,11 @@ void ContactStep::set_outcomes() {
       out.friction_work = 0.5 * (out.position_impulse.tail<2>().dot(before + during) +
                                  out.velocity_impulse.tail<2>().dot(during + after));
     }
-    out.position_impulse_W =
-        out.position_impulse[0] * c0.normal + out.position_impulse[1] * s1 + out.position_impulse[2] * s2;
-    out.velocity_impulse_W =
-        out.velocity_impulse[0] * c1.normal + out.velocity_impulse[1] * out.t1 + out.velocity_impulse[2] * out.t2;
+    const bool pulled = adheres_ && h_ > 0.0;
+    const double first = out.position_impulse[0] - (pulled ? pull_[r] : 0.0);
+    const double second = out.velocity_impulse[0] - (pulled ? pull_end_[r] : 0.0);
+    out.position_impulse_W = first * c0.normal + start.force(out.position_impulse.tail<2>());
+    out.velocity_impulse_W = second * c1.normal + end.force(out.velocity_impulse.tail<2>());
   }
 }
 
@@ -304,6 +305,7 @@ void ContactStep::commit() {
     kink = kink || persistent.sticks == out.slips;
     persistent.sticks = !out.slips;
     persistent.slip = out.slip_W;
+    set_coefficient(persistent);
     persistent.heading.setZero();
     if (!persistent.counts_by_place()) continue;
     if (out.slips || out.slipped) persistent.anchored = false;

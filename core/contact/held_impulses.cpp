@@ -20,15 +20,17 @@ void HeldImpulses::take(const std::vector<PersistentContact>& contacts, const Pe
     for (int k = 0; k <= step.table().s; ++k) {
       Vec3 impulse(step.phase_impulses()(r, k), 0.0, 0.0);
       if (j >= 0) {
-        const double angle = step.slip_angles()(j, k), friction = contacts[i].mu * impulse[0];
+        const double angle = step.slip_angles()(j, k), friction = step.slide_friction()(j, k) * impulse[0];
         impulse.tail<2>() = -friction * Eigen::Vector2d(std::cos(angle), std::sin(angle));
         sum.work -= friction * step.slips()(j, k);
       } else if (contacts[i].mu > 0.0) {
         impulse.tail<2>() = step.phase_impulses().block(r + 1, k, 2, 1);
       }
+      const PersistentRows::Site& site = rows.site(k, i);
+      const Vec3 normal = (impulse[0] - step.impulse_of(k, site.pull)) * site.contact.normal;
       sum.local += impulse;
-      sum.normal += impulse[0] * rows.site(k, i).contact.normal;
-      sum.world += rows.site(k, i).world(impulse[0], impulse[1], impulse[2]);
+      sum.normal += normal;
+      sum.world += normal + site.frame.force(impulse.tail<2>());
     }
   }
   if (step.shares_load()) share_friction();

@@ -2,14 +2,16 @@
 #pragma once
 
 #include <cmath>
+#include <vector>
 
 #include "geometry/manifold.hpp"
+#include "model/scene.hpp"
 
 namespace contactvi {
 
 struct PersistentContact {
   ContactPoint point;
-  double mu = 0;                // Coulomb's coefficient; 0: one row, no friction
+  double mu = 0;                // Coulomb's coefficient as it sticks or slides now; 0: one row, no friction
   bool sticks = true;           // at the node: the two material points have no relative tangential velocity
   Vec3 heading = Vec3::Zero();  // unit, world: where the slip goes that begins at the node; zero: nowhere
   Vec3 slip = Vec3::Zero();     // relative tangential velocity at the node [m/s], world
@@ -18,15 +20,22 @@ struct PersistentContact {
   Vec3 tangent;                 // t1; of a vertex in the plane's body frame, else in the world, turned with the normal
   Vec3 force = Vec3::Zero();    // (n, t1, t2) in the last step [N]: start values of the next one
   bool is_new = false;          // while an event is resolved: the contact was not closed before it
-  bool carried = false;         // a surface of the pair moves along itself
+  double pull_share = 1.0;      // of the adhesion of its pair: one over the most points that have touched at once
+  // Its slip is a velocity also where a material point touches: a surface moves along itself, or friction depends on the
+  // direction.
+  bool by_velocity = false;
 
   int rows() const { return mu > 0.0 ? 3 : 1; }
   // Whether its slip is the displacement of a material point, and not a velocity: surfaces that roll on each other, or
-  // move along themselves, have no such displacement.
-  bool counts_by_place() const { return point.material && !carried; }
+  // move along themselves, have none.
+  bool counts_by_place() const { return point.material && !by_velocity; }
   bool keeps_place() const { return mu > 0.0 && sticks && counts_by_place(); }
   bool slides() const { return mu > 0.0 && !sticks; }  // with friction
 };
+
+// Adhesion at the time t [s]: its part of what its pair pulls with [N].
+double adhesion(const Scene& scene, const PersistentContact& contact, double t);
+bool any_adhesion(const Scene& scene, const std::vector<PersistentContact>& contacts);
 
 // The result of a step for one persistent contact.
 struct ContactOutcome {

@@ -19,6 +19,7 @@ Vec3 PersistentGeometry::vertex_tangent(const PersistentContact& persistent) con
 
 Vec3 PersistentGeometry::start_tangent(const PersistentContact& persistent, const Contact& contact) const {
   if (persistent.mu == 0.0) return Vec3::Zero();
+  if (guards_->has_axis(persistent.point.guard)) return guards_->tangent(persistent.point.guard, contact.normal);
   if (persistent.point.kind == PointKind::kVertex) return vertex_tangent(persistent);
   return carried_tangent(persistent.tangent, contact.normal, contact.normal);
 }
@@ -26,6 +27,7 @@ Vec3 PersistentGeometry::start_tangent(const PersistentContact& persistent, cons
 Vec3 PersistentGeometry::tangent(const PersistentContact& persistent, const Contact& contact, const Contact& before,
                                  const Vec3& t1) const {
   if (persistent.mu == 0.0) return Vec3::Zero();
+  if (guards_->has_axis(persistent.point.guard)) return guards_->tangent(persistent.point.guard, contact.normal);
   if (persistent.point.kind == PointKind::kVertex) return vertex_tangent(persistent);
   return carried_tangent(t1, before.normal, contact.normal);
 }

@@ -15,6 +15,7 @@ void PersistentRows::set(const std::vector<PersistentContact>& contacts, const s
                          int places) {
   contacts_ = &contacts;
   joints_ = &joints;
+  adheres_ = any_adhesion(guards_->scene(), contacts);
   const std::size_t n = contacts.size();
   rows_.resize(n);
   slide_.assign(n, -1);
@@ -54,7 +55,7 @@ void PersistentRows::set(const std::vector<PersistentContact>& contacts, const s
 }
 
 void PersistentRows::place(int place, const VecCRef& q, double t, Placed to) {
-  auto& [phi, W, T, rate, drift] = to;
+  auto& [phi, W, T, rate, drift, pull] = to;
   guards_->place(q);
   std::vector<Site>& sites = sites_[static_cast<std::size_t>(place)];
   for (std::size_t i = 0; i < contacts_->size(); ++i) {
@@ -64,23 +65,26 @@ void PersistentRows::place(int place, const VecCRef& q, double t, Placed to) {
     const Placements& at = guards_->placements(c.point.guard);
     site.side = Manifolds::side_of_rim(c.point, at);
     site.along = guards_->manifolds().place_along(c.point, at, site.contact);
+    Vec3& t1 = site.frame.t1;
     if (place == 0) {
-      site.t1 = geometry_.start_tangent(c, site.contact);
+      t1 = geometry_.start_tangent(c, site.contact);
       if (c.counts_by_place()) references_[i] = geometry_.reference(c);
     } else {
-      site.t1 = geometry_.tangent(c, site.contact, sites_[0][i].contact, sites_[0][i].t1);
+      t1 = geometry_.tangent(c, site.contact, sites_[0][i].contact, sites_[0][i].frame.t1);
     }
+    site.frame = guards_->frame(c.point.guard, site.contact, t1);
     const int r = rows_[i];
     phi[r] = site.contact.gap;
+    if (adheres_) pull[r] = site.pull = adhesion(guards_->scene(), c, t);
     if (c.mu == 0.0) {
-      guards_->rows(c.point.guard, site.contact, site.t1, W.middleCols(r, 1));
+      guards_->rows(c.point.guard, site.contact, t1, W.middleCols(r, 1));
       continue;
     }
-    guards_->rows(c.point.guard, site.contact, site.t1, row_of_);
+    guards_->rows(c.point.guard, site.contact, t1, row_of_);
     W.col(r) = row_of_.col(0);
-    if (c.carried) {
+    if (guards_->moves(c.point.guard)) {
       auto own = c.sticks ? rate.segment<2>(r + 1) : drift.segment<2>(2 * slide_[i]);
-      own = guards_->surface_velocity(c.point.guard, site.contact, site.t1, t);
+      own = guards_->surface_velocity(c.point.guard, site.contact, t1, t);
     }
     if (!c.sticks) {
       T.middleCols<2>(2 * slide_[i]) = row_of_.rightCols<2>();
@@ -102,6 +106,14 @@ void PersistentRows::place(int place, const VecCRef& q, double t, Placed to) {
   }
 }
 
+bool PersistentRows::friction_varies(int slide) const {
+  return guards_->scene().friction_varies((*contacts_)[sliding_[static_cast<std::size_t>(slide)]].point.guard);
+}
+
+double PersistentRows::friction(int slide, double speed) const {
+  return guards_->scene().sliding_friction((*contacts_)[sliding_[static_cast<std::size_t>(slide)]].point.guard, speed);
+}
+
 bool PersistentRows::runs_far(int nodes) const {
   for (std::size_t i = 0; i < contacts_->size(); ++i) {
     const ContactPoint& point = (*contacts_)[i].point;
@@ -118,8 +130,8 @@ double PersistentRows::start_angle(int slide, const Eigen::Vector2d& slip, doubl
   if (slip.norm() > kStill * (1.0 + speed)) return std::atan2(slip[1], slip[0]);
   const std::size_t i = sliding_[static_cast<std::size_t>(slide)];
   const Vec3& heading = (*contacts_)[i].heading;
-  const Site& start = sites_[0][i];
-  return std::atan2(heading.dot(start.contact.normal.cross(start.t1)), heading.dot(start.t1));
+  const Eigen::Vector2d along = sites_[0][i].frame.rows(heading);
+  return std::atan2(along[1], along[0]);
 }
 
 }  // namespace contactvi

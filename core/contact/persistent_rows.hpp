@@ -30,17 +30,18 @@ class PersistentRows final : public PhaseRows {
   int slide(std::size_t i) const { return slide_[i]; }
   // Of a material point: from where its displacement counts (PersistentGeometry).
   const Vec3& reference(std::size_t i) const { return references_[i]; }
+  bool friction_varies(int slide) const override;
+  double friction(int slide, double speed) const override;
+  bool any_adheres() const override { return adheres_; }
   // Row of a joint with friction, -1: it slides.
   int joint_row(std::size_t k) const { return joint_rows_[k]; }
-  // Where a contact is at a place of the step: its first tangent, world.
+  // Where a contact is at a place of the step: its tangents, world.
   struct Site {
     Contact contact;
-    Vec3 t1;
+    TangentFrame frame;
+    double pull = 0.0;      // adhesion [N]
     Vec3 side;              // of a rim: direction from its centre to the point, world
     Eigen::Vector2d along;  // see Manifolds::place_along
-    Vec3 world(double n, double t, double s) const {
-      return n * contact.normal + t * t1 + s * contact.normal.cross(t1);
-    }
   };
   // Whether a point runs so far between two nodes of the step, around a rim or along lines, that its gap between them
   // is not that of their polynomial.
@@ -61,7 +62,7 @@ class PersistentRows final : public PhaseRows {
   MatX row_of_;
   const std::vector<FrictionJoint>* joints_ = nullptr;
   std::vector<int> joint_rows_;
-  bool loaded_ = false;
+  bool loaded_ = false, adheres_ = false;
   VecX load_;
 };
 

@@ -13,6 +13,19 @@ struct Contact {
   int body_a, body_b;  // engine joints, -1: world
 };
 
+// The tangents t1, t2 = n x t1 of a contact whose rows are the velocities along them times these shares, which tell how
+// much of the coefficient of friction acts along each: Coulomb's circular cone in the rows is then an elliptic one.
+struct TangentFrame {
+  Vec3 t1, t2;
+  Eigen::Vector2d shares = Eigen::Vector2d::Ones();
+  // Slip and force in the world that rows have, and the rows of a slip.
+  Vec3 slip(const Eigen::Vector2d& w) const { return w[0] / shares[0] * t1 + w[1] / shares[1] * t2; }
+  Vec3 force(const Eigen::Vector2d& f) const { return f[0] * shares[0] * t1 + f[1] * shares[1] * t2; }
+  Eigen::Vector2d rows(const Vec3& slip) const { return {shares[0] * t1.dot(slip), shares[1] * t2.dot(slip)}; }
+  // The impulses along the rows of a force in the world.
+  Eigen::Vector2d impulses(const Vec3& force) const { return {t1.dot(force) / shares[0], t2.dot(force) / shares[1]}; }
+};
+
 // W = d(gap)/dq = n^T (J_B(x_B) - J_A(x_A)) in engine coordinates, shape (nv,). at: the placements at the same q.
 void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact, VecRef W);
 

@@ -10,6 +10,7 @@
 namespace contactvi {
 
 namespace {
+constexpr double kAcross = 1e-9;  // sine of the angle from which on an axis has a direction in a tangent plane
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
 // coal's distances (2e-8).
@@ -302,6 +303,19 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
   }
   place_pair(guard);
   contact_rows(scene_->tree, placements_, contact, t1, W);
+  if (W.cols() == 3 && has_axis(guard)) W.rightCols<2>() *= scene_->law(guard)->shares.asDiagonal();
+}
+
+Vec3 Guards::tangent(int guard, const Vec3& normal) {
+  if (!has_axis(guard)) return any_tangent(normal);
+  place_pair(guard);
+  const ContactLaw& law = *scene_->law(guard);
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry& g = scene_->geometries[law.axis_of == 0 ? pair.a : pair.b];
+  const Vec3 axis = g.body < 0 ? Vec3(g.R_BG * law.axis) : Vec3(placements_.R_W[g.body] * (g.R_BG * law.axis));
+  const Vec3 along = axis - axis.dot(normal) * normal;
+  // An axis along the normal has no direction in the tangent plane.
+  return along.norm() > kAcross ? Vec3(along.normalized()) : any_tangent(normal);
 }
 
 Eigen::Vector2d Guards::surface_velocity(int guard, const Contact& contact, const Vec3& t1, double t) {
@@ -314,7 +328,7 @@ Eigen::Vector2d Guards::surface_velocity(int guard, const Contact& contact, cons
     return R * scene_->surface_motions[g.motion].velocity(R.transpose() * (x - p), t);
   };
   const Vec3 u = of(scene_->pairs[guard].b, contact.point_b) - of(scene_->pairs[guard].a, contact.point_a);
-  return {u.dot(t1), u.dot(contact.normal.cross(t1))};
+  return frame(guard, contact, t1).rows(u);
 }
 
 double Guards::depth_tolerance(int guard) const {

@@ -95,8 +95,21 @@ class Guards {
   void gradient(int guard, const Contact& contact, VecRef W) const;
   // The joints that a guard's gap depends on; one that moves both bodies of a pair may be named twice.
   void list_joints(int guard, std::vector<int>& joints) const;
-  // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
+  // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3), times the shares of
+  // friction.
   void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
+  // Whether the friction of a guard depends on its direction; a first tangent where the bodies are placed, then along
+  // its axis; and the shares of the coefficient along the tangents.
+  bool has_axis(int guard) const {
+    const ContactLaw* law = scene_->law(guard);
+    return law != nullptr && law->axis_of >= 0;
+  }
+  Vec3 tangent(int guard, const Vec3& normal);
+  TangentFrame frame(int guard, const Contact& contact, const Vec3& t1) const {
+    TangentFrame found{t1, contact.normal.cross(t1)};
+    if (has_axis(guard)) found.shares = scene_->law(guard)->shares;
+    return found;
+  }
   // Whether a surface of a guard moves along itself. What that adds at the time t [s] to the velocities of the rows t1,
   // t2 = n x t1 [m/s]: the velocity of b's surface less that of a's.
   bool moves(int guard) const { return guard < pairs_ && scene_->pairs[guard].moves; }

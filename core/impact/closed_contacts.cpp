@@ -18,6 +18,7 @@ void ImpactSequence::begin_guard(int guard) {
   c.guard = guard;
   c.e = scene_->restitution(guard);
   c.mu = scene_->friction(guard);
+  c.law = scene_->friction_varies(guard) ? scene_->law(guard) : nullptr;
   c.impacted = c.persistent = false;
   c.points.clear();
   c.unused.clear();
@@ -76,7 +77,7 @@ void ImpactSequence::add_rows(ClosedGuard& c) {
   Contact contact = c.witness;
   if (point.kind != PointKind::kWitness && point.kind != PointKind::kLimit)
     guards_->manifolds().evaluate(point, guards_->placements(), contact);
-  const Vec3 t1 = c.mu > 0.0 ? any_tangent(contact.normal) : Vec3(Vec3::Zero());
+  const Vec3 t1 = c.mu > 0.0 ? guards_->tangent(c.guard, contact.normal) : Vec3(Vec3::Zero());
   guards_->rows(c.guard, contact, t1, c.W.middleCols(c.rows, m));
   c.MinvW.middleCols(c.rows, m) = c.W.middleCols(c.rows, m);
   integrator_->solve_masses(c.MinvW.middleCols(c.rows, m));

@@ -46,7 +46,7 @@ void ImpactBlock::set_problem(const std::vector<BlockMember>& members, const Vec
       ConeContact cone{};
       cone.row = rows;
       cone.rows = c.rows_per_point();
-      cone.mu = c.mu;
+      cone.mu = c.friction(i, p);
       cones_.push_back(cone);
       rows += cone.rows;
     }

@@ -28,9 +28,10 @@ namespace contactvi {
 struct ClosedGuard {
   int guard = -1;
   double e = 0, mu = 0;
-  bool persistent = false;  // closed before the event
-  bool impacted = false;    // an impulse of this event acted on it
-  int count = 0;            // of points that have rows
+  const ContactLaw* law = nullptr;  // where its friction is not one number
+  bool persistent = false;          // closed before the event
+  bool impacted = false;            // an impulse of this event acted on it
+  int count = 0;                    // of points that have rows
   std::vector<ContactPoint> points;
   // Closed points that were not chosen: they have an impact only if the body tips about the others.
   std::vector<ContactPoint> unused;
@@ -51,6 +52,11 @@ struct ClosedGuard {
   // Kinetic energy T- - T+ that impulses take, without the work of moving constraints [J].
   double loss(const VecX& lambda, const VecX& p_minus, const VecX& p_plus) const {
     return -0.5 * lambda.dot(speeds(p_minus) + speeds(p_plus));
+  }
+  // Friction of a point: that of its slip before the impact. An impact has no friction of rest.
+  double friction(int point, const VecX& p) const {
+    if (law == nullptr || !law->mu.given()) return mu;
+    return law->mu(std::hypot(speed(3 * point + 1, p) / law->shares[0], speed(3 * point + 2, p) / law->shares[1]));
   }
   // Least normal speed of all points.
   double gamma_n(const VecX& p) const;

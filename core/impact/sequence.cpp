@@ -341,7 +341,7 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
     const Contact& c = closed.contacts[i];
     const Vec3 middle = 0.5 * (c.point_a + c.point_b);
     Vec3 impulse = lambda[m * i] * c.normal;
-    if (m == 3) impulse += lambda[m * i + 1] * closed.t1[i] + lambda[m * i + 2] * c.normal.cross(closed.t1[i]);
+    if (m == 3) impulse += guards_->frame(closed.guard, c, closed.t1[i]).force(lambda.segment<2>(m * i + 1));
     r.impulse_vector += impulse;
     r.point += lambda[m * i] * middle;
     weight += lambda[m * i];

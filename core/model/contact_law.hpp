@@ -4,6 +4,8 @@
 #include <functional>
 #include <vector>
 
+#include "base/numerics.hpp"
+
 namespace contactvi {
 
 // A number that depends on another one >= 0, a speed [m/s] or a time [s]: straight lines between the places of a table,
@@ -41,7 +43,16 @@ struct ContactLaw {
   // Restitution is lowered where it would make energy.
   bool keeps_energy = true;
   double tangential = 0.0;  // of the slip, where friction holds it
-  NumberFunction e;          // of the closing speed, instead of the pair's number
+  NumberFunction e;         // of the closing speed, instead of the pair's number
+  NumberFunction mu;        // friction of the speed of the slip, instead of the pair's number
+  double static_mu = -1.0;  // friction of what sticks; -1: as that of what slides
+  NumberFunction pull;      // adhesion by the time [N], shared by the points that touch
+  // Friction that depends on its direction: the axis of the shares, in the frame of the first or the second geometry of
+  // the pair, and how much of the coefficient acts along it and across it in the tangent plane.
+  int axis_of = -1;
+  Vec3 axis = Vec3::Zero();
+  Eigen::Vector2d shares = Eigen::Vector2d::Ones();
+
   // Whether an impact is not Poisson's in two phases.
   bool is_other() const { return restitution != RestitutionLaw::kPoisson || incremental || tangential > 0.0; }
 };

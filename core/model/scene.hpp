@@ -48,10 +48,10 @@ struct Geometry {
 struct Pair {
   int a, b;  // geometry indices
   double restitution;
-  double friction;  // Coulomb's coefficient
-  bool rounded;     // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
-  bool refined;     // GJK iterates towards a cylinder or an ellipsoid: the distance is found to rounding from there
-  int law = -1;     // in Scene::laws; -1: none beyond the two coefficients
+  double friction;     // Coulomb's coefficient
+  bool rounded;        // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
+  bool refined;        // GJK iterates towards a cylinder or an ellipsoid: the distance is found to rounding from there
+  int law = -1;        // in Scene::laws; -1: none beyond the two coefficients
   bool moves = false;  // a surface of it moves along itself
 };
 
@@ -71,6 +71,26 @@ struct Scene {
     return is_pair(guard) && pairs[guard].law >= 0 ? &laws[pairs[guard].law] : nullptr;
   }
   double friction(int guard) const { return is_pair(guard) ? pairs[guard].friction : 0.0; }
+  // Coefficients of what slides with this speed [m/s], and of what sticks.
+  double sliding_friction(int guard, double speed) const {
+    const ContactLaw* own = law(guard);
+    return own != nullptr && own->mu.given() ? own->mu(speed) : friction(guard);
+  }
+  double static_friction(int guard) const {
+    const ContactLaw* own = law(guard);
+    return own != nullptr && own->static_mu >= 0.0 ? own->static_mu : sliding_friction(guard, 0.0);
+  }
+  // Whether friction is not one number.
+  bool friction_varies(int guard) const {
+    const ContactLaw* own = law(guard);
+    return own != nullptr && (own->mu.given() || own->static_mu >= 0.0);
+  }
+  // Whether a surface of some pair moves along itself, or adhesion may depend on the time.
+  bool contacts_depend_on_time() const {
+    for (const Pair& pair : pairs)
+      if (pair.moves || (pair.law >= 0 && laws[pair.law].pull.given())) return true;
+    return false;
+  }
   double restitution(int guard) const {
     return is_pair(guard) ? pairs[guard].restitution : tree.limits[guard - pairs.size()].restitution;
   }

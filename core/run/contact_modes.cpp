@@ -51,6 +51,7 @@ bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX
   borders_.begin(contacts);
   for (int k = 0; k < borders_.count(); ++k) endings_.push_back({static_cast<std::size_t>(k), End::kFeature});
   depths_.resize(borders_.count());
+  for (PersistentContact& c : contacts) step_->set_coefficient(c);
   rows_.set(contacts, joints, 2 * integrator_->stages() + 1);
   integrator_->hold(&rows_);
   active_ = true;
@@ -80,8 +81,9 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
     if (c.sticks) {
       const Eigen::Vector2d a = forces_.a.segment<2>(r + 1);
       if (!(a.norm() > begins) || !(forces_.f[r] > 0.0)) continue;
-      c.heading = (step_->force_tangents(i) * a).normalized();
+      c.heading = step_->force_frame(i).slip(a).normalized();
       c.sticks = c.anchored = false;
+      step_->set_coefficient(c);
       directions_[i] = c.heading;
       record_change(t, c.point, Change::kSlip, 0.0, recording);
     }
@@ -103,7 +105,7 @@ bool ContactModes::stays_closed(std::size_t i, double slow) const {
 bool ContactModes::is_paradox(std::size_t i) const {
   const MatX& G = step_->force_matrix();
   const int r = step_->row(i);
-  const Eigen::Vector2d d = step_->force_tangents(i).transpose() * directions_[i].normalized();
+  const Eigen::Vector2d d = step_->force_frame(i).rows(directions_[i]).normalized();
   return G(r, r) - step_->contacts()[i].mu * G.row(r).segment<2>(r + 1).dot(d) <= kParadox * G(r, r);
 }
 
@@ -131,7 +133,7 @@ void ContactModes::take_step(double h, const VecX& v0, const VecX& q1, const Vec
       const int j = rows_.slide(i);
       if (j < 0) continue;
       headings_[static_cast<std::size_t>(k)][i] =
-          rows_.site(k, i).world(0.0, std::cos(angles(j, k)), std::sin(angles(j, k)));
+          rows_.site(k, i).frame.slip({std::cos(angles(j, k)), std::sin(angles(j, k))});
     }
   const bool crossed = borders_may_be_crossed(q1);
   watches_ = crossed || may_end();
@@ -224,12 +226,14 @@ double ContactModes::stick_margin(std::size_t i) const {
   const std::vector<PersistentContact>& contacts = step_->contacts();
   if (!shares_) return forces_.margin(step_->row(i), contacts[i].mu);
   double normal = 0.0;
-  Vec3 friction = Vec3::Zero();
+  Vec3 friction = Vec3::Zero();  // in the measure of its bound
   for (std::size_t k = 0; k < contacts.size(); ++k) {
     if (contacts[k].point.guard != contacts[i].point.guard) continue;
     const int r = step_->row(k);
     normal += forces_.f[r];
-    friction += step_->force_tangents(k) * forces_.f.segment<2>(r + 1);
+    TangentFrame tangents = step_->force_frame(k);
+    tangents.shares.setOnes();
+    friction += tangents.force(forces_.f.segment<2>(r + 1));
   }
   return contacts[i].mu * normal - friction.norm();
 }
@@ -279,8 +283,7 @@ void ContactModes::evaluate(double at, const VecX& q, const VecX& v, VecRef valu
         value = holds(forces_.a.segment<2>(r + 1).norm(), stick_margin(i));
         break;
       case End::kStick:
-        value =
-            slides(step_->force_slip(i).dot(step_->force_tangents(i).transpose() * directions_[i]), begins_[i] != 0);
+        value = slides(step_->force_slip(i).dot(step_->force_frame(i).rows(directions_[i])), begins_[i] != 0);
         break;
       case End::kJointSlips:
         value = holds(std::abs(forces_.a[r]), step_->friction_joints()[i].limit - std::abs(forces_.f[r]));
@@ -304,8 +307,9 @@ void ContactModes::begin_slip(std::size_t first, double time, Recording& recordi
     const int r = step_->row(i);
     const Eigen::Vector2d f = forces_.f.segment<2>(r + 1);
     if (i != first && !(forces_.margin(r, c.mu) <= kTogether * forces_.scale && f.norm() > 0.0)) continue;
-    c.heading = -(step_->force_tangents(i) * f).normalized();
+    c.heading = -step_->force_frame(i).slip(f).normalized();
     c.sticks = c.anchored = false;
+    step_->set_coefficient(c);
     record_change(time, c.point, Change::kSlip, 0.0, recording);
   }
   step_->leave();
@@ -320,6 +324,7 @@ void ContactModes::come_to_rest(std::size_t first, const VecX& v, double time, R
     c.sticks = true;
     c.anchored = false;
     c.slip.setZero();
+    step_->set_coefficient(c);
     record_change(time, c.point, Change::kStick, 0.0, recording);
   }
   step_->invalidate();
@@ -349,13 +354,15 @@ void ContactModes::commit(double time, long step, bool wanted, Recording& record
     const PersistentRows::Site& end = rows_.site(s, i);
     const HeldImpulses::Impulse& impulse = impulses_.of(i);
     c.force = impulse.local / h;
-    if (c.mu > 0.0 && c.point.kind != PointKind::kVertex) c.tangent = end.t1;
+    if (c.mu > 0.0 && c.point.kind != PointKind::kVertex) c.tangent = end.frame.t1;
     c.slip.setZero();
     if (j >= 0) {
       const double angle = rows.slip_angles()(j, s);
-      c.heading = end.world(0.0, std::cos(angle), std::sin(angle));
-      c.slip = rows.slips()(j, s) * c.heading;
-    } else if (c.point.material && c.mu > 0.0 && !c.anchored) {
+      const Vec3 along = end.frame.slip({std::cos(angle), std::sin(angle)});
+      c.heading = along.normalized();
+      c.slip = rows.slips()(j, s) * along;
+      step_->set_coefficient(c);
+    } else if (c.counts_by_place() && c.mu > 0.0 && !c.anchored) {
       c.anchor = rows_.reference(i);
       c.anchored = true;
     }

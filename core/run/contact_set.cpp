@@ -48,22 +48,39 @@ void ContactSet::update_persistent_guards() {
     std::vector<const ContactPoint*> points;
     for (const PersistentContact& other : step_->contacts())
       if (other.point.guard == g) points.push_back(&other.point);
+    share_adhesion(g, points.size());
     guards_->set_persistent(g, std::move(points));
     persistent_guards_.push_back(g);
   }
   step_->invalidate();
 }
 
+// What has let go at some points does not pull more at the others.
+void ContactSet::share_adhesion(int guard, std::size_t points) {
+  const ContactLaw* law = scene_->law(guard);
+  if (law == nullptr || !law->pull.given()) return;
+  double share = 1.0 / static_cast<double>(points);
+  for (int pass = 0; pass < 2; ++pass)
+    for (PersistentContact& c : step_->contacts()) {
+      if (c.point.guard != guard) continue;
+      if (pass == 0)
+        share = std::min(share, c.pull_share);
+      else
+        c.pull_share = share;
+    }
+}
+
 PersistentContact ContactSet::make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip) {
   PersistentContact persistent;
   persistent.point = point;
   persistent.mu = scene_->friction(point.guard);
-  persistent.carried = guards_->moves(point.guard);
+  persistent.by_velocity = guards_->moves(point.guard) || guards_->has_axis(point.guard);
   persistent.tangent = any_tangent(contact.normal);
   if (point.kind == PointKind::kVertex && point.plane_body >= 0)
     persistent.tangent = guards_->placements().R_W[point.plane_body].transpose() * persistent.tangent;
   persistent.slip = slip;
   persistent.sticks = slip.norm() <= kPersists * (1.0 + v_.cwiseAbs().maxCoeff());
+  step_->set_coefficient(persistent);
   return persistent;
 }
 
@@ -88,7 +105,8 @@ void ContactSet::keep_point(const ClosedGuard& c, int k) {
   Vec3 slip = Vec3::Zero();
   if (c.mu > 0.0) {
     const int r = 3 * k;
-    slip = c.speed(r + 1, run_->p) * c.t1[k] + c.speed(r + 2, run_->p) * c.contacts[k].normal.cross(c.t1[k]);
+    const Eigen::Vector2d w(c.speed(r + 1, run_->p), c.speed(r + 2, run_->p));
+    slip = guards_->frame(c.guard, c.contacts[k], c.t1[k]).slip(w);
   }
   PersistentContact persistent = make_persistent(c.points[k], c.contacts[k], slip);
   const PersistentContact* before = find_contact(previous_, c.guard, c.points[k]);
@@ -249,12 +267,12 @@ void ContactSet::leave(std::size_t i, const VecX& v, double time, Recording& rec
     if (find_contact(contacts, g, point) != nullptr) continue;
     Contact contact = witness_;
     if (point.kind != PointKind::kWitness) guards_->manifolds().evaluate(point, guards_->placements(), contact);
-    const Vec3 t1 = any_tangent(contact.normal);
+    const Vec3 t1 = guards_->tangent(g, contact.normal);
     guards_->rows(g, contact, t1, row);
     if (std::abs(row.col(0).dot(v)) > slow) continue;
     Eigen::Vector2d w(row.col(1).dot(v), row.col(2).dot(v));
     if (guards_->moves(g)) w += guards_->surface_velocity(g, contact, t1, time);
-    const Vec3 slip = w[0] * t1 + w[1] * contact.normal.cross(t1);
+    const Vec3 slip = guards_->frame(g, contact, t1).slip(w);
     contacts.push_back(make_persistent(point, contact, old.slides() ? slip : Vec3(Vec3::Zero())));
     record_change(time, point, Change::kBegin, 0.0, recording);
   }

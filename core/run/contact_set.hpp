@@ -56,6 +56,7 @@ class ContactSet {
   bool points_changed(int guard);
   void forget_separated(int guard);
   bool find_touching(int guard);
+  void share_adhesion(int guard, std::size_t points);
 
   const Scene* scene_;
   RunState* run_;

@@ -52,7 +52,7 @@ void Island::begin(const Scene& whole, const StaticTrees& all) {
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
   offset_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();
-  depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
+  depends_on_time_ = depends_on_time(engine_->scene().tree.elements) || engine_->scene().contacts_depend_on_time();
   for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
 }
 

@@ -84,7 +84,8 @@ void Simulator::join(SideBySide& company) {
 
 bool Simulator::scene_does_work() const {
   const Elements& e = scene_->tree.elements;
-  return dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0 || !scene_->tree.followers.empty();
+  return dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0 || !scene_->tree.followers.empty() ||
+         scene_->contacts_depend_on_time();
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
@@ -535,7 +536,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
 bool Simulator::run_impacts(const Instant& now, Recording& recording) {
   const bool ended = sequence_.run(now, zeno_.plastic(), state_.reference, state_.p, recording);
   state_.impacts += sequence_.impacts();
-  if (contact_step_.constrained()) state_.work.add(sequence_);
+  state_.work.add(sequence_);
   return ended;
 }
 

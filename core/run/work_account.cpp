@@ -26,15 +26,15 @@ WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) const {
   if (!tally_.does_work) return {};
   FreeWork work{integrator.input_work(), integrator.damping_loss()};
   const StageConstraints* constraints = integrator.constraints();
-  if (constraints) work.joint_friction = -constraints->load_work();
+  if (constraints) {
+    work.joint_friction = -constraints->load_work();
+    work.driven = constraints->work();
+  }
   if (tally_.reactions.size() == 0) return work;
   const VecX coupled = integrator.coupled_impulses();
   work.reactions.setZero(tally_.reactions.size());
   work.reactions.tail(coupled.size()) = coupled;
-  if (constraints) {
-    work.driven = constraints->work();
-    work.reactions.head(constraints->impulses().size()) = constraints->impulses();
-  }
+  if (constraints) work.reactions.head(constraints->impulses().size()) = constraints->impulses();
   return work;
 }
 

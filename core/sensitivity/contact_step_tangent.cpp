@@ -1,4 +1,5 @@
 #include "sensitivity/contact_step_tangent.hpp"
+#include "sensitivity/known_laws.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -34,6 +35,7 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   record_ = &step;
   margin_ = 1.0;
   slip_change_ = 0.0;
+  for (const auto& c : step.contacts) require_known_law(*scene_, c.before.point.guard, step.t);
   rows_ = static_cast<int>(step.lambda.size());
   constraints_ = step.constrained ? start_constraints_.rows() : 0;
   twists0_.place(step.q0);

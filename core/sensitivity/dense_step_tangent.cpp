@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "sensitivity/known_laws.hpp"
 #include "step/energy.hpp"
 #include "step/path.hpp"
 
@@ -45,6 +46,7 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   record_ = &step;
   margin_ = 1.0;
   error_ = 0.0;
+  for (const auto& c : step.contacts) require_known_law(*scene_, c.point.guard, step.t);
   approximate_ = "";
   rows_ = static_cast<int>(step.lambda.size());
   constraints_ = step.constraints;

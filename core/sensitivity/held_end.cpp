@@ -114,7 +114,7 @@ PhaseEnd HeldEnd::phase_end(const PersistentRows& phase, int number) {
   end.rows += static_cast<int>(s.joints.size());
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const PersistentRows::Site& site = phase.site(number, i);
-    end.contacts.push_back({s.contacts[i], site.t1, site.contact.normal, s.contacts[i].slides(), end.rows});
+    end.contacts.push_back({s.contacts[i], site.frame.t1, site.contact.normal, s.contacts[i].slides(), end.rows});
     end.rows += s.contacts[i].rows();
   }
   masses_.place_node(q1);

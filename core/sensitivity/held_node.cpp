@@ -20,9 +20,9 @@ bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda, 
   chart_.take(X);
   constraints_.take(q, t);
   twists_.place(q);
-  VecX phi(phase.count()), rate(phase.count()), drift(2 * slides);
+  VecX phi(phase.count()), rate(phase.count()), drift(2 * slides), pull(phase.count());
   MatX W(n, phase.count()), T(n, 2 * slides);
-  phase.place(number, q, t, {phi, W, T, rate, drift});
+  phase.place(number, q, t, {phi, W, T, rate, drift, pull});
   rates_.setZero(rows);
   rates_.head(fixed) = constraints_.rates();
   // Beside its normal a sliding contact has two columns that are no rows: its tangents.
@@ -73,7 +73,7 @@ bool HeldNode::take_contacts(const std::vector<PersistentContact>& contacts, con
       refused_ = point.guard;
       return false;
     }
-    t1_.push_back(site.t1);
+    t1_.push_back(site.frame.t1);
   }
   return true;
 }

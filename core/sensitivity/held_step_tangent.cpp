@@ -1,4 +1,5 @@
 #include "sensitivity/held_step_tangent.hpp"
+#include "sensitivity/known_laws.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -92,6 +93,7 @@ void HeldStepTangent::place_nodes() {
     chart.take(X.col(i));
     velocities_.col(i) = chart.velocity(s.rates.col(i));
   }
+  for (const PersistentContact& c : s.contacts) require_known_law(*scene_, c.point.guard, s.t);
   phase_.set(s.contacts, s.joints, 2 * stages_ + 1);
   rows_ = fixed_ + phase_.count();
   slides_ = static_cast<int>(phase_.slides().size());

@@ -5,6 +5,7 @@
 
 #include "base/differences.hpp"
 #include "model/coupling.hpp"
+#include "sensitivity/known_laws.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
@@ -91,6 +92,7 @@ void ImpactTangent::take_rows(const RecordedImpact& impact) {
   // Without a block one point had the impact: the first one of the contact.
   for (int k = 0; k < sequence_.count(); ++k) {
     const ClosedGuard& closed = sequence_.closed(k);
+    require_known_law(*scene_, closed.guard, impact.time);
     const int count = impact.block != nullptr ? closed.count : 1;
     for (int i = 0; i < count; ++i) {
       const ContactPoint& point = closed.points[i];

@@ -14,7 +14,7 @@ namespace contactvi {
 
 class PhaseRows {
  public:
-  // A sliding contact: the row of its gap.
+  // A sliding contact: the row of its gap, and its coefficient of friction as the step begins.
   struct Slide {
     int normal;
     double mu;
@@ -25,6 +25,11 @@ class PhaseRows {
   // Whether a row is one of velocities, W.v = 0, which has no displacement that it is the rate of.
   virtual bool by_rate(int row) const = 0;
   virtual const std::vector<Slide>& slides() const = 0;
+  // Whether the coefficient of a slide depends on its speed, and the coefficient at a speed [m/s].
+  virtual bool friction_varies(int slide) const = 0;
+  virtual double friction(int slide, double speed) const = 0;
+  // Whether any contact adheres.
+  virtual bool any_adheres() const = 0;
   // What is set at a configuration of the step: the displacements phi (count,), the gradients W (nv, count), the tangents
   // T (nv, 2 per slide); and the velocities that surfaces have of themselves, where some move along themselves, beside
   // W^T v (count,) and T^T v (2 per slide,).
@@ -32,6 +37,7 @@ class PhaseRows {
     VecRef phi;
     Eigen::Ref<MatX> W, T;
     VecRef rate, drift;
+    VecRef pull;  // adhesion along the gradients, of what adheres [N], (count,)
   };
   // At the time t [s]. Tangents turn with their surfaces from place 0 on, the start of the step, which comes first.
   virtual void place(int place, const VecCRef& q, double t, Placed at) = 0;

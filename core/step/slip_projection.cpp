@@ -16,9 +16,9 @@ constexpr double kExact = 1e-16, kNear = 1e-13;
 constexpr double kStill = 1e-3;
 }  // namespace
 
-bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate,
-                           const VecX& drift, const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& before, VecRef p,
-                           VecX& v, VecRef lambda, VecRef angles, VecRef slips) {
+bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate, const VecX& drift,
+                           const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& coefficients,
+                           const VecCRef& before, VecRef p, VecX& v, VecRef lambda, VecRef angles, VecRef slips) {
   const Eigen::Index m = W.cols(), count = static_cast<Eigen::Index>(slides.size()), n = m + count;
   MatX forces(p.size(), m + 2 * count), X(p.size(), m + 2 * count + 1);
   forces << W, T;
@@ -34,7 +34,8 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
   const auto weigh = [&] {
     weights.head(m) = lambda;
     for (Eigen::Index j = 0; j < count; ++j) {
-      const auto& [normal, mu] = slides[static_cast<std::size_t>(j)];
+      const int normal = slides[static_cast<std::size_t>(j)].normal;
+      const double mu = coefficients[j];
       const Eigen::Vector2d d(std::cos(angles[j]), std::sin(angles[j])), across(-d[1], d[0]);
       const double friction = mu * lambda[first + normal];
       weights.segment<2>(m + 2 * j) = -friction * d;

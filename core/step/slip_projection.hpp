@@ -14,12 +14,12 @@ namespace contactvi {
 class SlipProjection {
  public:
   // lambda (m,) and angles (slides,), of d from the first tangents: start values, and the solution. The rows of the
-  // slides' normals follow `first` others. A slip that has turned back, so far that its direction is no longer to be
+  // slides' normals follow `first` others; coefficients (slides,): of their friction. A slip that has turned back, so far that its direction is no longer to be
   // found from it, keeps that of `before`. Adds F lambda to p, and sets v = M^-1 p and the slips (slides,). The node of
   // `equations` must be placed. False: it was not found.
-  bool apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate,
-             const VecX& drift, const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& before, VecRef p, VecX& v,
-             VecRef lambda, VecRef angles, VecRef slips);
+  bool apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate, const VecX& drift,
+             const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& coefficients, const VecCRef& before,
+             VecRef p, VecX& v, VecRef lambda, VecRef angles, VecRef slips);
   // How the velocity v of the last projection that succeeded changes with the momentum p before it: dv, (nv, columns),
   // to the first order of changes of p, which X holds and M^-1 is to be multiplied with. The node must be placed again.
   void respond(StepEquations& equations, MatX& X) const;

@@ -152,6 +152,7 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
     if (joint.type == JointType::kSpherical) p1_.segment<3>(joint.iv) = stages.ball_end(joint, p_start_);
   fold_momentum(*tree_, p1_);
   if (load_ != nullptr) p1_ += h_ * table_->e[stages_] * *load_;
+  add_end_pull(p1_);
   equations.place_node(nodes_[stages_].q);
   knows_end_ = close_slides(equations, p1_);
   path_.set(q0_, h_, stage_rates_);
@@ -174,6 +175,7 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
       changed_turns_ = true;
     }
   }
+  for (int k = 1; k <= stages_; ++k) follow_slips(k);
 }
 
 // The charts of spherical joints where the stages are.
@@ -274,8 +276,8 @@ void StageConstraints::force_of(int unknown, VecRef force, VecRef chart) const {
     return;
   }
   const int j = (unknown - rows_ * stages_) % slides_;
-  const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
-  const double friction = mu * lambda_(fixed_ + normal, node_of(unknown));
+  const int normal = phase_->slides()[static_cast<std::size_t>(j)].normal;
+  const double friction = friction_(j, node_of(unknown)) * lambda_(fixed_ + normal, node_of(unknown));
   force = -friction * node.across.col(j);
   chart = -friction * node.chart_across.col(j);
 }
@@ -505,8 +507,9 @@ void StageConstraints::accelerate(Stages& stages, const VecX& du, const VecX& pu
 // The impulse at the end where contacts slide, in momentum and velocity there.
 bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
   const Node& end = nodes_[stages_];
-  return slip_projection_.apply(equations, end.W, end.T, end.rate, end.drift, phase_->slides(), fixed_, angles_.col(stages_ - 1),
-                                p1, v1_, lambda_.col(stages_), angles_.col(stages_), slips_.col(stages_));
+  return slip_projection_.apply(equations, end.W, end.T, end.rate, end.drift, phase_->slides(), fixed_,
+                                friction_.col(stages_), angles_.col(stages_ - 1), p1, v1_, lambda_.col(stages_),
+                                angles_.col(stages_), slips_.col(stages_));
 }
 
 void StageConstraints::give_up() {
@@ -537,13 +540,20 @@ bool StageConstraints::keeps_phase() const {
   return true;
 }
 
+// The adhesion at the end of the step, in the momentum there.
+void StageConstraints::add_end_pull(VecRef p) const {
+  if (phase_ == nullptr || !phase_->any_adheres()) return;
+  const Node& end = nodes_[static_cast<std::size_t>(stages_)];
+  p.noalias() -= (h_ * table_->e[stages_]) * (end.W * end.pull);
+}
+
 // Work of the friction of sliding contacts on surfaces that move along themselves, at a node.
 double StageConstraints::slide_work(int k) const {
   double work = 0.0;
   for (int j = 0; j < slides_; ++j) {
-    const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+    const double friction = friction_(j, k) * lambda_(fixed_ + phase_->slides()[static_cast<std::size_t>(j)].normal, k);
     const Eigen::Vector2d d(std::cos(angles_(j, k)), std::sin(angles_(j, k)));
-    work += mu * lambda_(fixed_ + normal, k) * d.dot(nodes_[static_cast<std::size_t>(k)].drift.segment<2>(2 * j));
+    work += friction * d.dot(nodes_[static_cast<std::size_t>(k)].drift.segment<2>(2 * j));
   }
   return work;
 }
@@ -558,6 +568,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
     p1 += h_ * table_->e[stages_] * *load_;
     for (int d = 0; d < tree_->nv; ++d) load_work_ += (*load_)[d] * stages.sum(stages.v(), d);
   }
+  add_end_pull(p1);
   if (rows_ == 0) {
     v1_ = p1;
     equations.solve_mass(v1_);

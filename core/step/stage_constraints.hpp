@@ -83,9 +83,13 @@ class StageConstraints : private StageNodes {
   // Those of all rows (rows, s + 1).
   const MatX& node_impulses() const { return lambda_; }
   const MatX& slips() const { return slips_; }
+  // Their coefficients of friction.
+  const MatX& slide_friction() const { return friction_; }
   // Work of the constant forces [J].
   double load_work() const { return load_work_; }
   const LobattoTable& table() const { return *table_; }
+  // Of a force, its part at a node.
+  double impulse_of(int node, double force) const { return h_ * table_->e[node] * force; }
   // Whether rows share a load, so that their impulses are not the only ones that keep them.
   bool shares_load() const { return system_.is_redundant(); }
   // Whether sliding contacts do: then their impulses, of which any split keeps the rows, decide about the motion.
@@ -124,6 +128,7 @@ class StageConstraints : private StageNodes {
   bool close_slides(StepEquations& equations, VecRef p1);
   bool keeps_phase() const;
   double slide_work(int k) const;
+  void add_end_pull(VecRef p) const;
 
   MatX answers_;  // (slides, s + 1): what friction answers across the slip to a turn of its direction, <= 0
   // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps

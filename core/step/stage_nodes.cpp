@@ -47,10 +47,13 @@ void StageNodes::resize() {
     for (MatX* X : {&node.along, &node.across, &node.chart_across}) X->resize(nv, slides_);
     node.slip_across.setZero(slides_);
     node.drift.setZero(2 * slides_);
+    node.pull.setZero(rows_);
   }
   if (lambda_.rows() != rows_ || lambda_.cols() != stages_ + 1) lambda_.setZero(rows_, stages_ + 1);
   angles_.setZero(slides_, stages_ + 1);
   slips_.setZero(slides_, stages_ + 1);
+  friction_.resize(slides_, stages_ + 1);
+  for (int j = 0; j < slides_; ++j) friction_.row(j).setConstant(phase_->slides()[static_cast<std::size_t>(j)].mu);
   if (rolling_ > 0) rolls_.assign(static_cast<std::size_t>(stages_), MatX(nv, rows_ - fixed_));
   roll_rates_.setZero(rows_ - fixed_, stages_);
 }
@@ -64,7 +67,7 @@ void StageNodes::place(Node& node, int number) {
   if (phase_ != nullptr)
     phase_->place(number, node.q, node.t,
                   {node.phi.tail(rows_ - fixed_), node.W.rightCols(rows_ - fixed_), node.T,
-                   node.rate.tail(rows_ - fixed_), node.drift});
+                   node.rate.tail(rows_ - fixed_), node.drift, node.pull.tail(rows_ - fixed_)});
   to_chart(node, node.W, node.chart_W);
   direct(node, number);
 }
@@ -76,15 +79,20 @@ void StageNodes::direct(Node& node, int number) {
     return;
   }
   for (int j = 0; j < slides_; ++j) {
-    const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+    const int normal = phase_->slides()[static_cast<std::size_t>(j)].normal;
     const double c = std::cos(angles_(j, number)), s = std::sin(angles_(j, number));
     const auto t1 = node.T.col(2 * j), t2 = node.T.col(2 * j + 1);
     node.along.col(j) = c * t1 + s * t2;
     node.across.col(j) = c * t2 - s * t1;
-    node.F.col(fixed_ + normal) -= mu * node.along.col(j);
+    node.F.col(fixed_ + normal) -= friction_(j, number) * node.along.col(j);
   }
   to_chart(node, node.F, node.chart_F);
   to_chart(node, node.across, node.chart_across);
+}
+
+void StageNodes::follow_slips(int node) {
+  for (int j = 0; j < slides_; ++j)
+    if (phase_->friction_varies(j)) friction_(j, node) = phase_->friction(j, std::abs(slips_(j, node)));
 }
 
 // Gradients by the chart at the start of the step.
@@ -120,11 +128,11 @@ void StageNodes::begin(StepEquations& equations, const VecCRef& q0, const VecCRe
   if (slides_ == 0) return;
   if (!equations.node_velocity(q0, p0, v0_)) v0_.setZero();
   for (int j = 0; j < slides_; ++j) {
-    const Eigen::Vector2d slip =
-        nodes_[0].T.middleCols<2>(2 * j).transpose() * v0_ + nodes_[0].drift.segment<2>(2 * j);
+    const Eigen::Vector2d slip = nodes_[0].T.middleCols<2>(2 * j).transpose() * v0_ + nodes_[0].drift.segment<2>(2 * j);
     angles_.row(j).setConstant(phase_->start_angle(j, slip, v0_.cwiseAbs().maxCoeff()));
     slips_.row(j).setConstant(slip.dot(Eigen::Vector2d(std::cos(angles_(j, 0)), std::sin(angles_(j, 0)))));
   }
+  for (int k = 0; k <= stages_; ++k) follow_slips(k);
   direct(nodes_[0], 0);
 }
 
@@ -152,7 +160,7 @@ void StageNodes::place_rates(const Stages& stages) {
   const int S = stages.padded();
   const GaussTable& table = stages.table();
   MatX none(tree_->nv, 2 * slides_);
-  VecX no_drift(2 * slides_);
+  VecX no_drift(2 * slides_), no_pull(rows_ - fixed_);
   phi_.resize(rows_ - fixed_);
   for (int i = 0; i < stages_; ++i) {
     for (int d = 0; d < tree_->nv; ++d) {
@@ -163,13 +171,15 @@ void StageNodes::place_rates(const Stages& stages) {
     }
     integrate(*tree_, q0_, X_stage_, 1.0, q_stage_);
     phase_->place(stages_ + 1 + i, q_stage_, t0_ + table.c[i] * h_,
-                  {phi_, rolls_[static_cast<std::size_t>(i)], none, roll_rates_.col(i), no_drift});
+                  {phi_, rolls_[static_cast<std::size_t>(i)], none, roll_rates_.col(i), no_drift, no_pull});
   }
 }
 
 void StageNodes::impulse_at(int node, bool chart) {
   const Node& at = nodes_[node];
   impulse_.noalias() = (chart ? at.chart_F : at.F) * lambda_.col(node);
+  if (phase_ != nullptr && phase_->any_adheres())
+    impulse_.noalias() -= (h_ * table_->e[node]) * ((chart ? at.chart_W : at.W) * at.pull);
   if (load_ == nullptr) return;
   const double weight = h_ * table_->e[node];
   impulse_ += weight * *load_;

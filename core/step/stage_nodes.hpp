@@ -29,7 +29,8 @@ class StageNodes {
     MatX along, across;
     MatX chart_W, chart_F, chart_across;  // by the chart at the start of the step
     VecX slip_across;                     // velocities
-    VecX drift;  // of surfaces that move along themselves, along the tangents T, (2 slides,)
+    VecX pull;                            // adhesion along W [N], (m,)
+    VecX drift;                           // of surfaces that move along themselves, along the tangents T, (2 slides,)
     Placements at;
     MotionValues motions;  // at t
     explicit Node(const Tree& tree);
@@ -47,6 +48,8 @@ class StageNodes {
   void place(Node& node, int number);
   // The directions of the slips at a node, and what follows from them.
   void direct(Node& node, int number);
+  // The coefficients at a node, where they depend on the speeds of the slips there.
+  void follow_slips(int node);
   // Sets impulse_ to what acts at a node, in the chart at the start or in the node's axes.
   void impulse_at(int node, bool chart);
   // The start momentum with all impulses but the last one; on spherical joints in the frame of the start.
@@ -65,6 +68,7 @@ class StageNodes {
   std::vector<Node> nodes_;  // s + 1
   MatX lambda_;              // (m, s + 1)
   MatX angles_, slips_;      // (slides, s + 1)
+  MatX friction_;            // coefficients of the slides, (slides, s + 1)
   std::vector<MatX> rolls_;  // per stage: W of all rows of the phase there, (nv, count)
   MatX roll_rates_;          // of them, velocities of surfaces that move along themselves, (count, s)
 

@@ -19,12 +19,14 @@ class GeomPair:
     Attributes:
         friction: sliding friction, the smaller of two directions.
         damping_ratio: of MuJoCo's soft contact, for which `restitution` gives the ratio of speeds.
+        adhesion: pull up to which the geoms stay together [N]; MuJoCo's is that of each contact point.
     """
 
     a: int
     b: int
     friction: float
     damping_ratio: float
+    adhesion: float = 0.0
 
 
 def geom_pairs(source: Source) -> list[GeomPair]:
@@ -65,7 +67,8 @@ def _listed(source: Source) -> Iterator[GeomPair]:
             continue
         seen.add((a, b))
         gap = float(m.pair_margin[p]) + float(m.pair_gap[p])
-        yield _pair(source, a, b, np.array(m.pair_friction[p]), int(m.pair_dim[p]), m.pair_solref[p], gap)
+        pull = float(m.pair_adhesion[p]) if hasattr(m, "pair_adhesion") else 0.0
+        yield _pair(source, a, b, np.array(m.pair_friction[p]), int(m.pair_dim[p]), m.pair_solref[p], gap, pull)
 
 
 def _mixed(source: Source) -> Iterator[GeomPair]:
@@ -81,7 +84,8 @@ def _mixed(source: Source) -> Iterator[GeomPair]:
             solref = _mixed_solref(source, a, b)
         five = np.array([friction[0], friction[0], friction[1], friction[2], friction[2]])
         gap = float(m.geom_margin[a] + m.geom_margin[b] + m.geom_gap[a] + m.geom_gap[b])
-        yield _pair(source, a, b, five, dim, solref, gap)
+        pull = float(m.geom_adhesion[a] + m.geom_adhesion[b]) if hasattr(m, "geom_adhesion") else 0.0
+        yield _pair(source, a, b, five, dim, solref, gap, pull)
 
 
 def _candidates(source: Source) -> np.ndarray:
@@ -117,7 +121,9 @@ def _mixed_solref(source: Source, a: int, b: int) -> np.ndarray:
     return np.asarray(mixed)
 
 
-def _pair(source: Source, a: int, b: int, friction: np.ndarray, dim: int, solref: np.ndarray, gap: float) -> GeomPair:
+def _pair(
+    source: Source, a: int, b: int, friction: np.ndarray, dim: int, solref: np.ndarray, gap: float, pull: float
+) -> GeomPair:
     """Return a pair; friction: two sliding, one torsional, two rolling coefficients."""
     title = _title(source, a, b)
     if dim >= _TORSIONAL and np.any(friction[2 : 3 if dim < _ROLLING else 5]):
@@ -126,7 +132,18 @@ def _pair(source: Source, a: int, b: int, friction: np.ndarray, dim: int, solref
         source.report.note("changed", "pair", title, "friction differs in two directions: the smaller one counts")
     if gap:
         source.lose("pair", title, "margin or gap: shapes meet where they touch")
-    return GeomPair(a, b, float(min(friction[:2])) if dim > _SLIDING else 0.0, _damping_ratio(solref))
+    if pull:
+        text = f"adhesion {pull:g} N of the pair, which its contact points share (MuJoCo's is that of each point)"
+        source.report.note("changed", "pair", title, text)
+    return GeomPair(a, b, float(min(friction[:2])) if dim > _SLIDING else 0.0, _damping_ratio(solref), pull)
+
+
+def surface_velocity(source: Source, geom: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the linear and angular velocity of the surface of a geom; None: it has none (or MuJoCo is before 3.11)."""
+    field = getattr(source.m, "geom_surfacevel", None)
+    if field is None or not np.any(field[geom]):
+        return None
+    return np.array(field[geom][:3]), np.array(field[geom][3:])
 
 
 def _damping_ratio(solref: np.ndarray) -> float:

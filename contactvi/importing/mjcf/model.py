@@ -15,7 +15,7 @@ from contactvi.errors import SceneError
 from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.mjcf.actuators import actuators_of
 from contactvi.importing.mjcf.compiler import Source
-from contactvi.importing.mjcf.contacts import geom_friction, geom_pairs
+from contactvi.importing.mjcf.contacts import geom_friction, geom_pairs, surface_velocity
 from contactvi.importing.mjcf.contacts import restitution as ratio_of_speeds
 from contactvi.importing.mjcf.forces import Forces
 from contactvi.importing.mjcf.shapes import Shape, Shapes, color_of, in_pictures
@@ -183,11 +183,15 @@ def _contacts(
     for geom, shapes in index.items():
         for k in shapes:
             data.contact[names[k],] = geom_friction(source, geom), single
+            if (velocity := surface_velocity(source, geom)) is not None:
+                data.surface_velocities[names[k]] = velocity
     for pair in geom_pairs(source):
         ratio = ratio_of_speeds(pair.damping_ratio) if bounce == SOLREF else single
         for i, j in itertools.product(index[pair.a], index[pair.b]):
             given.append((i, j))
             data.contact[names[i], names[j]] = pair.friction, ratio
+            if pair.adhesion:
+                data.adhesion[names[i], names[j]] = pair.adhesion
     data.limit_restitution = single
     return given
 
@@ -211,7 +215,7 @@ def _note_rest(source: Source) -> None:
     m, option = source.m, source.m.opt
     present: dict[str, Any] = {
         "density": option.density, "viscosity": option.viscosity, "wind": np.any(option.wind),
-        "skin": m.nskin, "plugin": m.nplugin, "adhesion": m.flg_adhesion, "surface velocity": m.flg_surfacevel,
+        "skin": m.nskin, "plugin": m.nplugin,
     }  # fmt: skip
     for name, there in present.items():
         if there:
