@@ -40,7 +40,8 @@ class ContactModes final : public SwitchFunctions {
   bool is_undetermined() const { return integrator_->constraints()->slides_share_load(); }
   // Looks from now on whether what they do ends in that step, of length h from a state with the velocity v0.
   void take_step(double h, const VecX& v0, const VecX& q1, const VecX& tau);
-  double friction_work();  // in the step just solved [J], <= 0
+  const VecX& tau() const { return tau_; }  // of the step taken last
+  double friction_work();                   // in the step just solved [J], <= 0
 
   int count() const override { return active_ && watches_ ? static_cast<int>(endings_.size()) : 0; }
   void evaluate(double at, const VecX& q, const VecX& v, VecRef values) override;

@@ -78,7 +78,7 @@ bool Simulator::first_contact_change(const Interval& interval, double h, double&
     if (!contact_step_.solve_part(contact_path_, alpha, state_.q, state_.p, interval.tau)) return false;
   }
   if (at_start) {
-    contacts_.release(changes_.releasing(), interval.start + interval.done, recording);
+    contacts_.release(changes_.releasing(), interval.start + interval.done, interval.tau, recording);
     finder_.cut();
     again = true;
     return true;
@@ -250,7 +250,7 @@ bool Simulator::advance_contact(Interval& interval, long halved, Recording& reco
       return end(StatusCode::kTooManyImpacts, at, "impacts without end at one instant", guard);
     }
     // What has opened before the event has no part in it.
-    if (taken > 0.0) contacts_.release_separated(-1, true, now, recording);
+    if (taken > 0.0) contacts_.release_separated(-1, true, now, interval.tau, recording);
     const Event& event = finder_.event();
     Stepper* rest = free ? &contact_step_ : nullptr;
     const bool resolved = resolve_event(
@@ -263,7 +263,7 @@ bool Simulator::advance_contact(Interval& interval, long halved, Recording& reco
     state_.contact_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
     return resolved;
   }
-  contacts_.release_separated(changes_.releasing(), false, now, recording);
+  contacts_.release_separated(changes_.releasing(), false, now, interval.tau, recording);
   changes_.set_releasing(-1);
   if (!free && contact_step_.contacts().empty()) resume_free_motion(now);
   state_.contact_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();

@@ -10,6 +10,7 @@ constexpr double kPersists = 1e-11;  // of the speeds: a closed contact with a s
 // Of kPersists: persistent contacts that separate more slowly are left to the step, and pairs with several points,
 // whose gaps differ by more, up to the second number.
 constexpr double kSlowSeparation = 1e5, kSlowSeparationOfMany = 2e6;
+constexpr double kTogether = 1e-6;    // of the forces: points of an adhesive pair with less load let go together
 constexpr double kUnloaded = 1e-9;    // of the forces: a smaller one is zero
 constexpr double kOpenPair = 1e-9;    // [m] beyond this gap of a pair all its points are released
 constexpr double kOpenPoint = 1e-12;  // [m] beyond this gap a contact without load is released
@@ -220,15 +221,33 @@ bool ContactSet::close_contacts_at_start(const std::function<bool(int, int)>& pa
   return true;
 }
 
-void ContactSet::release_separated(int releasing, bool at_event, double time, Recording& recording) {
+// Which contacts let go with contact i: where the pull of an adhesive pair is not enough, all of its points without load.
+std::vector<char> ContactSet::letting_go(int i, const VecX& tau) {
+  const std::vector<PersistentContact>& contacts = step_->contacts();
+  std::vector<char> found(contacts.size(), 0);
+  if (i < 0) return found;
+  found[static_cast<std::size_t>(i)] = 1;
+  const int guard = contacts[static_cast<std::size_t>(i)].point.guard;
+  const ContactLaw* law = scene_->law(guard);
+  if (law == nullptr || !law->pull.given()) return found;
+  if (!step_->persistent_forces_at(run_->q, run_->p, tau, forces_)) return found;
+  const double least = kTogether * step_->force_scale();
+  for (std::size_t k = 0; k < contacts.size(); ++k)
+    if (contacts[k].point.guard == guard && forces_[static_cast<Eigen::Index>(k)] <= least) found[k] = 1;
+  return found;
+}
+
+void ContactSet::release_separated(int releasing, bool at_event, double time, const VecX& tau, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
-  const std::vector<ContactOutcome>& outcomes = step_->outcomes();
+  const std::vector<ContactOutcome> outcomes = step_->outcomes();
+  const std::vector<char> let_go = letting_go(releasing, tau);
   const double fast = kSeparates * (1.0 + step_->end_velocity().cwiseAbs().maxCoeff());
   bool dropped = false;
   for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
     const ContactOutcome& out = outcomes[i];
     const int guard = contacts[i].point.guard;
-    const bool leaves = i == releasing || (out.position_impulse[0] <= 0.0 && out.contact.gap > kOpenPoint) ||
+    const bool leaves = let_go[static_cast<std::size_t>(i)] != 0 ||
+                        (out.position_impulse[0] <= 0.0 && out.contact.gap > kOpenPoint) ||
                         (out.w_n > fast && !at_event);
     if (!leaves) continue;
     const ContactPoint point = contacts[i].point;
@@ -236,20 +255,25 @@ void ContactSet::release_separated(int releasing, bool at_event, double time, Re
     contacts.erase(contacts.begin() + i);
     finder_->set_touching(guard, true);
     run_->separated.push_back({guard, point.feature});
-    if (i == releasing) finder_->exempt(guard);
+    if (let_go[static_cast<std::size_t>(i)] != 0) finder_->exempt(guard);
     dropped = true;
   }
   if (dropped) update_persistent_guards();
 }
 
-void ContactSet::release(int i, double time, Recording& recording) {
-  const ContactPoint point = step_->contacts()[i].point;
-  run_->separated.push_back({point.guard, point.feature});
-  step_->contacts().erase(step_->contacts().begin() + i);
+void ContactSet::release(int i, double time, const VecX& tau, Recording& recording) {
+  const std::vector<char> let_go = letting_go(i, tau);
+  const int guard = step_->contacts()[i].point.guard;
+  for (std::size_t k = let_go.size(); k-- > 0;) {
+    if (let_go[k] == 0) continue;
+    const ContactPoint point = step_->contacts()[k].point;
+    run_->separated.push_back({guard, point.feature});
+    step_->contacts().erase(step_->contacts().begin() + static_cast<std::ptrdiff_t>(k));
+    record_change(time, point, Change::kRelease, 0.0, recording);
+  }
   update_persistent_guards();
-  finder_->set_touching(point.guard, true);
-  if (!guards_->is_persistent(point.guard)) finder_->exempt(point.guard);
-  record_change(time, point, Change::kRelease, 0.0, recording);
+  finder_->set_touching(guard, true);
+  if (!guards_->is_persistent(guard)) finder_->exempt(guard);
 }
 
 void ContactSet::leave(std::size_t i, const VecX& v, double time, Recording& recording) {

@@ -33,12 +33,12 @@ class ContactSet {
   int find_points(double time, Recording& recording);
   // Releases the contacts that have separated in the contact step just accepted; `releasing` is the one whose force has
   // come to zero (-1: none). at_event: only those that are open already, for the others take part in the event.
-  void release_separated(int releasing, bool at_event, double time, Recording& recording);
+  void release_separated(int releasing, bool at_event, double time, const VecX& tau, Recording& recording);
   // The set after a dense step that ends at `time`: what it has left closed and loaded. True if a contact began, ended
   // or closed fast.
   bool follow(const DenseStep& step, double time, Recording& recording);
   // Releases contact `i` before a step.
-  void release(int i, double time, Recording& recording);
+  void release(int i, double time, const VecX& tau, Recording& recording);
   // Contact i is at the border of its feature and goes beyond it, with the velocities v. The features that touch there,
   // too, take its place.
   void leave(std::size_t i, const VecX& v, double time, Recording& recording);
@@ -57,6 +57,7 @@ class ContactSet {
   void forget_separated(int guard);
   bool find_touching(int guard);
   void share_adhesion(int guard, std::size_t points);
+  std::vector<char> letting_go(int i, const VecX& tau);
 
   const Scene* scene_;
   RunState* run_;

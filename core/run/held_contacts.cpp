@@ -101,7 +101,7 @@ void Simulator::change_contact(int function, double time, const VecX& v, bool mo
       break;
     case ContactModes::End::kRelease:
       modes_.end_step();
-      contacts_.release(static_cast<int>(ending.contact), time, recording);
+      contacts_.release(static_cast<int>(ending.contact), time, modes_.tau(), recording);
       if (!moved) finder_.cut();
       break;
     case ContactModes::End::kSlip:
