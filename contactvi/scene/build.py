@@ -25,6 +25,7 @@ from contactvi.scene.pair_names import PairNames
 from contactvi.scene.pairs import NeutralOverlaps, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
+from contactvi.scene.surfaces import FunctionSurface, refuse_untouchable
 from contactvi.states import States
 
 
@@ -63,6 +64,7 @@ class Built:
         laws: Laws of contact of the pairs that have one, each with the places of its pairs.
         elements: Constraints, springs and forces as the engine takes them.
         names: What selectors mean.
+        surfaces: Surfaces given by functions, by the names of their geometries.
     """
 
     model: pin.Model
@@ -78,13 +80,14 @@ class Built:
     laws: list[tuple[PairLaw, list[int]]]
     elements: Resolved
     names: Names
+    surfaces: dict[str, FunctionSurface]
 
     @cached_property
     def engine(self) -> EngineScene:
         """The engine's scene (contactvi._core.Scene), made on first use; raises SceneError where it refuses."""
         return make_engine_scene(
             self.model, self.collision, self.pairs.numbers, self.restitution, self.friction, self.laws,
-            self.arrays, self.elements,
+            self.arrays, self.elements, self.surfaces,
         )  # fmt: skip
 
     def coefficients(self, kind: str) -> list[tuple[tuple[str, str], float]]:
@@ -166,6 +169,8 @@ def build(
     names = list(index)
     soft = contact.compliance.mask(names)
     chosen, removed, overlaps, compliant = choose_pairs(assembly, parts.parts, disabled, enabled, tested, soft)
+    surfaces = parts.surfaces
+    refuse_untouchable(chosen, compliant, list(collision.geometryObjects), set(surfaces))
     resolved = resolve(elements, model, start)
     mu = contact.friction.values(names, compliant)
     resolved.compliances = compliance_rows(contact.compliance, names, compliant, mu)
@@ -189,4 +194,5 @@ def build(
         laws,
         resolved,
         parts.names,
+        surfaces,
     )

@@ -18,6 +18,7 @@ from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
+from contactvi.scene.surfaces import FunctionSurface
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -37,6 +38,7 @@ def make_engine_scene(
     laws: Sequence[tuple[PairLaw, list[int]]],
     arrays: JointArrays,
     elements: Resolved,
+    surfaces: Mapping[str, FunctionSurface],
 ) -> EngineScene:
     """Return the engine's scene.
 
@@ -45,6 +47,7 @@ def make_engine_scene(
         pairs: Geometries of the tested pairs, int32 of shape (npairs, 2).
         restitution, friction: Of the tested pairs, shapes (npairs,).
         laws: Laws of contact, each with the places of its pairs.
+        surfaces: Surfaces given by functions, by the names of their geometries.
 
     Raises:
         EngineError: The engine refuses it.
@@ -69,6 +72,9 @@ def make_engine_scene(
         for law, places in laws:
             a, b = (collision.geometryObjects[int(k)].name for k in pairs[places[0]])
             scene.set_contact_law(places, **law.engine((a, b)))
+        for name, surface in surfaces.items():
+            number = collision.getGeometryId(name)
+            scene.set_surface(number, surface.engine(name), surface.kind == "height", surface.reach)
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)

@@ -37,6 +37,7 @@ bool ContactTangent::take(const VecCRef& q, int guard, const Contact& contact, c
   if (!std::isfinite(contact.gap)) return refuse("the distance of the shapes is not known");
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  if (a.surface || b.surface) return refuse("the surface is given by a function, whose curvature is not taken");
   scale_ = a.unbounded ? b.radius : b.unbounded ? a.radius : std::min(a.radius, b.radius);
   const bool is_known = point != nullptr && point->kind != PointKind::kWitness && point->kind != PointKind::kLimit;
   return is_known ? take_point(*point) : take_witness(guard);

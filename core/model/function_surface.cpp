@@ -1,0 +1,161 @@
+#include "model/function_surface.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace contactvi {
+
+namespace {
+
+using Vec2 = Eigen::Vector2d;
+using Mat2 = Eigen::Matrix2d;
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+// A step of this length, of the distance and in metres, is the last one: Newton's method doubles the digits, and with a
+// Hessian by differences a step leaves 1e-6 of its length.
+constexpr double kLast = 1e-9, kLastLength = 1e-10;
+constexpr int kRounds = 100;
+// Squares of distances are known to rounding: one that is larger by this part has not grown.
+constexpr double kRounding = 1e-13;
+constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-6;
+// Searches begin at the place below and, of points higher than this [m], around it.
+constexpr double kAround = 1e-6;
+constexpr int kDirections = 8;
+
+// The search for the foot of one point from one place. Where the function is asked next is next().
+class FootSearch {
+ public:
+  FootSearch(const Vec3& x, const Vec2& start) : x_(x), next_(start) {}
+
+  const Vec2& next() const { return next_; }
+  bool ends() const { return state_ != State::kSearches; }
+  bool found() const { return state_ == State::kFound; }
+  double square() const { return square_; }
+  void fail() { state_ = State::kFailed; }
+
+  void take(const double* values) {
+    if (!std::all_of(values, values + HeightSurface::kValues, [](double v) { return std::isfinite(v); })) return fail();
+    const Vec2 across = next_ - x_.head<2>();
+    const double up = values[0] - x_[2], square = across.squaredNorm() + up * up;
+    if (last_ || square <= square_ * (1.0 + kRounding)) {
+      square_ = square;
+      at_ = next_;
+      up_ = up;
+      slope_ = {values[1], values[2]};
+      bend_ << values[3], values[4], values[4], values[5];
+      damping_ = damping_ * kLess < kNoDamping ? 0.0 : damping_ * kLess;
+    } else {
+      damping_ = std::max(kFirstDamping, kMore * damping_);
+    }
+    if (last_)
+      state_ = State::kFound;
+    else
+      choose_next();
+  }
+
+  SurfaceFoot foot() const {
+    const Vec3 normal = Vec3(-slope_[0], -slope_[1], 1.0).normalized();
+    return {normal.dot(Vec3(x_[0] - at_[0], x_[1] - at_[1], -up_)), normal};
+  }
+
+ private:
+  enum class State : std::uint8_t { kSearches, kFound, kFailed };
+
+  // Damping in units of 1 + |slope|^2, about what the Hessian of the squared distance is on an inclined plane.
+  void choose_next() {
+    const Vec2 gradient = at_ - x_.head<2>() + up_ * slope_;
+    Mat2 hessian = Mat2::Identity() + slope_ * slope_.transpose() + up_ * bend_;
+    const double size = 1.0 + slope_.squaredNorm();
+    const double middle = 0.5 * hessian.trace(),
+                 least = middle - std::sqrt(std::max(0.0, middle * middle - hessian.determinant()));
+    const double needed = std::max(damping_ * size, kFirstDamping * size - least);
+    if (damping_ > 0.0 || !(least > 0.0)) hessian.diagonal().array() += needed;
+    const Vec2 step = -hessian.inverse() * gradient;
+    next_ = at_ + step;
+    last_ = step.norm() <= kLast * std::sqrt(square_) + kLastLength;
+  }
+
+  Vec3 x_;
+  Vec2 next_, at_ = Vec2::Zero(), slope_ = Vec2::Zero();
+  Mat2 bend_ = Mat2::Zero();
+  double square_ = std::numeric_limits<double>::infinity(), up_ = 0.0, damping_ = 0.0;
+  bool last_ = false;
+  State state_ = State::kSearches;
+};
+
+// Several searches side by side: the function is asked once in each round for all that go on.
+void follow(std::vector<FootSearch>& searches, const HeightSurface::Function& function) {
+  std::vector<double> places, values;
+  for (int round = 0; round < kRounds; ++round) {
+    places.clear();
+    for (const FootSearch& s : searches)
+      if (!s.ends()) places.insert(places.end(), {s.next()[0], s.next()[1]});
+    if (places.empty()) return;
+    const std::size_t count = places.size() / 2;
+    values.assign(HeightSurface::kValues * count, kNaN);
+    function(places.data(), static_cast<int>(count), values.data());
+    const double* row = values.data();
+    for (FootSearch& s : searches) {
+      if (s.ends()) continue;
+      s.take(row);
+      row += HeightSurface::kValues;
+    }
+  }
+  for (FootSearch& s : searches)
+    if (!s.ends()) s.fail();
+}
+
+}  // namespace
+
+void HeightSurface::nearest(const Vec3* points, int count, SurfaceFoot* feet) const {
+  std::vector<double> below(2 * static_cast<std::size_t>(count)),
+      values(kValues * static_cast<std::size_t>(count), kNaN);
+  for (int i = 0; i < count; ++i) {
+    below[2 * i] = points[i][0];
+    below[2 * i + 1] = points[i][1];
+  }
+  function_(below.data(), count, values.data());
+  std::vector<FootSearch> searches;
+  std::vector<std::size_t> first;
+  for (int i = 0; i < count; ++i) {
+    first.push_back(searches.size());
+    const Vec2 start = points[i].head<2>();
+    searches.emplace_back(points[i], start);
+    searches.back().take(values.data() + kValues * i);
+    const double height = points[i][2] - values[kValues * i];
+    if (!(height > kAround)) continue;
+    for (int k = 0; k < kDirections; ++k) {
+      const double angle = 2.0 * M_PI * k / kDirections;
+      searches.emplace_back(points[i], start + 0.5 * height * Vec2(std::cos(angle), std::sin(angle)));
+    }
+  }
+  first.push_back(searches.size());
+  follow(searches, function_);
+  for (int i = 0; i < count; ++i) {
+    const FootSearch* best = nullptr;
+    // Where the function fails at one place it fails: that is no reason to take another foot.
+    bool failed = false;
+    for (std::size_t k = first[i]; k < first[i + 1]; ++k) {
+      failed |= !searches[k].found();
+      if (searches[k].found() && (best == nullptr || searches[k].square() < best->square())) best = &searches[k];
+    }
+    feet[i] = failed || best == nullptr ? SurfaceFoot{kNaN, Vec3::UnitZ()} : best->foot();
+  }
+}
+
+void DistanceSurface::nearest(const Vec3* points, int count, SurfaceFoot* feet) const {
+  std::vector<double> values(kValues * static_cast<std::size_t>(count), kNaN);
+  function_(points[0].data(), count, values.data());
+  for (int i = 0; i < count; ++i) {
+    const double* row = values.data() + kValues * i;
+    const Vec3 gradient(row[1], row[2], row[3]);
+    const double length = gradient.norm();
+    const bool is_distance = std::abs(length - 1.0) <= kUnit;
+    feet[i] = {is_distance && std::isfinite(row[0]) ? row[0] : kNaN,
+               is_distance ? Vec3(gradient / length) : Vec3::UnitZ()};
+  }
+}
+
+}  // namespace contactvi
