@@ -6,14 +6,14 @@ import ctypes
 import pickle
 from typing import Any
 
-import contactvi as cvi
 import numpy as np
 import pinocchio as pin
 import pytest
+
+import contactvi as cvi
 from contactvi import UserFunctionError
 from contactvi.errors import ContactviError, InputError, SceneError
-
-from ..oracles.surface_ball import GRAVITY, BallOnSurface
+from oracles.surface_ball import GRAVITY, BallOnSurface
 
 RADIUS = 0.1
 HIGH, WAVE = 0.05, 3.0  # waves in which a ball of RADIUS has one nearest point: 1 / (HIGH WAVE^2) > RADIUS
@@ -81,7 +81,8 @@ def test_an_inclined_plane_is_the_halfspace(kind: str, order: int) -> None:
         v = np.array([0.3, 0.1, 0.0, 1.0, 0.0, 2.0])
         runs.append(cvi.simulate(scene, at([0.0, 0.0, 0.6]), v, duration=2.0, dt=0.01, order=order))
     found, known = runs
-    assert found.status.ok and known.status.ok
+    assert found.status.ok
+    assert known.status.ok
     assert len(found.events) == len(known.events) > 5
     # The impacts accumulate: the last ones inherit all errors of the ones before.
     np.testing.assert_allclose([e.time for e in found.events][:8], [e.time for e in known.events][:8], atol=1e-11)
@@ -106,7 +107,8 @@ def test_a_box_lands_on_a_slope() -> None:
         scene.set_contact(restitution=0.0, friction=0.6)
         runs.append(cvi.simulate(scene, [0.0, 0.0, 0.4, *turned], duration=1.5, dt=0.005))
     found, known = runs
-    assert found.status.ok and known.status.ok
+    assert found.status.ok
+    assert known.status.ok
     np.testing.assert_allclose(found.events[0].time, known.events[0].time, atol=1e-11)
     np.testing.assert_allclose(found.q[-1], known.q[-1], atol=1e-5)  # sticking by rates here, by places there
     assert np.abs(found.v[-1]).max() < 1e-9
@@ -130,7 +132,8 @@ def test_a_distance_of_a_ball_is_the_ball() -> None:
         scene.set_contact(restitution=0.7, friction=0.3)
         runs.append(cvi.simulate(scene, at([0.15, 0.02, 0.9]), duration=0.8, dt=0.01, order=4))
     found, known = runs
-    assert found.status.ok and len(found.events) == len(known.events) > 0
+    assert found.status.ok
+    assert len(found.events) == len(known.events) > 0
     np.testing.assert_allclose([e.time for e in found.events], [e.time for e in known.events], atol=1e-11)
     np.testing.assert_allclose(found.q, known.q, atol=1e-9)
 
@@ -216,7 +219,8 @@ def test_automatic_steps() -> None:
     """dt="auto" on waves: bounces, then rolls and rests in a hollow."""
     run = cvi.simulate(with_ball(friction=0.5, **WAVES), at([0.3, 0.1, 0.4]), duration=1.0, dt="auto", tol=1e-6)
     close = cvi.simulate(with_ball(friction=0.5, **WAVES), at([0.3, 0.1, 0.4]), duration=1.0, dt=1e-3, order=8)
-    assert run.status.ok and close.status.ok
+    assert run.status.ok
+    assert close.status.ok
     np.testing.assert_allclose(run.q[-1, :3], close.q[-1, :3], atol=1e-4)
 
 
@@ -413,7 +417,8 @@ def test_arguments_are_checked() -> None:
     scene = cvi.Scene()
     for wrong in (
         {}, {"height": waves, "distance": waves}, {"height": 3.0}, {"height": waves, "hessian": waves_hessian},
-        {"height": waves, "extent": [(1, -1), (0, 1)]}, {"height": waves, "gradient": lambda p: 2.0 * waves_gradient(p)},
+        {"height": waves, "extent": [(1, -1), (0, 1)]},
+        {"height": waves, "gradient": lambda p: 2.0 * waves_gradient(p)},
         {"distance": lambda p: 2.0 * (np.linalg.norm(p, axis=1) - 0.5)}, {"height": Compiled(), "gradient": waves},
     ):  # fmt: skip
         with pytest.raises(InputError):
