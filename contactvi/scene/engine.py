@@ -6,6 +6,7 @@ Models cross to C++ as numbers, shapes by the addresses of coal's objects, of wh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -74,7 +75,9 @@ def make_engine_scene(
             scene.set_contact_law(places, **law.engine((a, b)))
         for name, surface in surfaces.items():
             number = collision.getGeometryId(name)
-            scene.set_surface(number, surface.engine(name), surface.kind == "height", surface.reach)
+            scene.set_surface(
+                number, surface.engine(name), surface.kind == "height", surface.reach, partial(surface.lost, name)
+            )
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)

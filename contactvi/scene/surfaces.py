@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.elements.user_functions import called, checked
-from contactvi.errors import InputError, SceneError
+from contactvi.errors import InputError, SceneError, UserFunctionError
 from contactvi.importing.part import Part
 from contactvi.importing.pictures import Picture, Surface
 from contactvi.inputs import array, short
@@ -142,6 +142,21 @@ class FunctionSurface:
             a, b, c, e = d[1 + 4 * axis : 5 + 4 * axis]
             rows[:, 1 + axis] = (a - 8.0 * b + 8.0 * c - e) / (12.0 * H)
         return rows
+
+    def lost(self, name: str, point: Array) -> None:
+        """Raise the UserFunctionError of a point (3,) [m] of which no nearest point is known."""
+        rows = self.values(name, point[None, : len(self.extent)])[0]
+        length = float(np.linalg.norm(rows[1:]))
+        wanted, got = "two continuous derivatives", "no nearest point is found"
+        if not np.isfinite(rows).all():
+            wanted, got = "finite numbers", f"values {short(rows.tolist())}"
+        elif self.kind == "distance" and abs(length - 1.0) > _UNIT:
+            wanted, got = "a true distance, with a gradient of length 1", f"length {length:.9g}"
+        what = f"the {self.kind} of the surface {name!r}"
+        raise UserFunctionError(
+            f"{what} gives no gap at the point {short(np.round(point, 9).tolist())}", function=what, expected=wanted,
+            got=got, remedy="Correct the function; it has to be defined wherever bodies may come",
+        )  # fmt: skip
 
     def grid(self, name: str) -> Surface:
         """Return what is drawn: vertices and triangles."""

@@ -78,6 +78,7 @@ void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, b
 
 using Number = nb::ndarray<const double, nb::numpy, nb::ndim<2>, nb::c_contig>;
 using OfPoints = nb::typed<nb::callable, nb::object(nb::object)>;
+using OfPoint = nb::typed<nb::callable, nb::object(Vec3)>;
 using GivenSurface = std::variant<Address, OfPoints>;
 
 // Rows of values at rows of coordinates, by a function of Python that takes and returns arrays.
@@ -95,30 +96,42 @@ std::function<void(const double*, int, double*)> rows_by(Scene& s, const OfPoint
   };
 }
 
-std::shared_ptr<const FunctionSurface> surface_of(Scene& s, const GivenSurface& given, bool is_height) {
+std::shared_ptr<const FunctionSurface> surface_of(Scene& s, const GivenSurface& given, bool is_height,
+                                                  const OfPoint& tell) {
+  const FunctionSurface::Lost lost = [call = keep(s, tell)](const Vec3& point) {
+    guarded(call, false, [&] {
+      call(point);
+      throw Error("nothing was raised");
+      return true;
+    });
+  };
   if (const OfPoints* function = std::get_if<OfPoints>(&given)) {
-    if (is_height) return std::make_shared<HeightSurface>(rows_by<2, HeightSurface::kValues>(s, *function));
-    return std::make_shared<DistanceSurface>(rows_by<3, DistanceSurface::kValues>(s, *function));
+    if (is_height) return std::make_shared<HeightSurface>(rows_by<2, HeightSurface::kValues>(s, *function), lost);
+    return std::make_shared<DistanceSurface>(rows_by<3, DistanceSurface::kValues>(s, *function), lost);
   }
   const Address address = std::get<Address>(given);
   if (is_height) {
     auto* height = reinterpret_cast<void (*)(double, double, double*)>(address);  // NOLINT: the caller knows
-    return std::make_shared<HeightSurface>([height](const double* xy, int count, double* values) {
-      for (int i = 0; i < count; ++i) height(xy[2 * i], xy[2 * i + 1], values + HeightSurface::kValues * i);
-    });
+    return std::make_shared<HeightSurface>(
+        [height](const double* xy, int count, double* values) {
+          for (int i = 0; i < count; ++i) height(xy[2 * i], xy[2 * i + 1], values + HeightSurface::kValues * i);
+        },
+        lost);
   }
   auto* distance = reinterpret_cast<void (*)(double, double, double, double*)>(address);  // NOLINT: the same
-  return std::make_shared<DistanceSurface>([distance](const double* xyz, int count, double* values) {
-    for (int i = 0; i < count; ++i)
-      distance(xyz[3 * i], xyz[3 * i + 1], xyz[3 * i + 2], values + DistanceSurface::kValues * i);
-  });
+  return std::make_shared<DistanceSurface>(
+      [distance](const double* xyz, int count, double* values) {
+        for (int i = 0; i < count; ++i)
+          distance(xyz[3 * i], xyz[3 * i + 1], xyz[3 * i + 2], values + DistanceSurface::kValues * i);
+      },
+      lost);
 }
 
-void set_surface(Scene& s, int geometry, const GivenSurface& given, bool is_height, double reach) {
+void set_surface(Scene& s, int geometry, const GivenSurface& given, bool is_height, double reach, const OfPoint& tell) {
   if (geometry < 0 || geometry >= static_cast<int>(s.geometries.size())) throw Error("there is no such geometry");
   Geometry& g = s.geometries[static_cast<std::size_t>(geometry)];
   if (!g.unbounded) throw Error("a surface stands in the place of a halfspace");
-  g.surface = surface_of(s, given, is_height);
+  g.surface = surface_of(s, given, is_height, tell);
   // No plane bounds it.
   g.halfspace_offset = std::numeric_limits<double>::infinity();
   g.reach = reach;
@@ -133,10 +146,12 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
       "Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is "
       "followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e "
       "as a function of the closing speed (table, address of a C function, function) or None.");
-  scene.def("set_surface", &set_surface, "geometry"_a, "function"_a, "is_height"_a, "reach"_a,
+  scene.def("set_surface", &set_surface, "geometry"_a, "function"_a, "is_height"_a, "reach"_a, "lost"_a,
             "Makes a halfspace a surface given by a function (address of a C function of one point, or function of "
             "arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, "
-            "d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body.");
+            "d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; "
+            "lost: called with a point (3,) of which no nearest point "
+            "is known, raises.");
   m.def(
       "follow_impact",
       [](const Mat3& G, const Vec3& w, double mu, double e, int law) {

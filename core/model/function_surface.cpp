@@ -23,6 +23,10 @@ constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-
 // Searches begin at the place below and, of points higher than this [m], around it.
 constexpr double kAround = 1e-6;
 constexpr int kDirections = 8;
+// [m] Iterations that diverge ask for points farther away than this: that they have no foot says nothing.
+constexpr double kFarthest = 1e6;
+// [m] Step of differences of gradients.
+constexpr double kSide = 1e-5;
 
 // The search for the foot of one point from one place. Where the function is asked next is next().
 class FootSearch {
@@ -58,6 +62,15 @@ class FootSearch {
   SurfaceFoot foot() const {
     const Vec3 normal = Vec3(-slope_[0], -slope_[1], 1.0).normalized();
     return {normal.dot(Vec3(x_[0] - at_[0], x_[1] - at_[1], -up_)), normal};
+  }
+
+  // Of the normal (-slope, 1) / length: along the surface it changes by -P (H dx, 0) / length, P across the normal.
+  Mat3 bend() const {
+    const Vec3 normal = foot().normal;
+    const Mat3 across = Mat3::Identity() - normal * normal.transpose();
+    Mat3 second = Mat3::Zero();
+    second.topLeftCorner<2, 2>() = bend_;
+    return -normal[2] * across * second * across;
   }
 
  private:
@@ -107,18 +120,17 @@ void follow(std::vector<FootSearch>& searches, const HeightSurface::Function& fu
     if (!s.ends()) s.fail();
 }
 
-}  // namespace
-
-void HeightSurface::nearest(const Vec3* points, int count, SurfaceFoot* feet) const {
+// The searches of points, those of point i from first[i] to before first[i + 1].
+void search(const Vec3* points, int count, const HeightSurface::Function& function, std::vector<FootSearch>& searches,
+            std::vector<std::size_t>& first) {
+  constexpr int kValues = HeightSurface::kValues;
   std::vector<double> below(2 * static_cast<std::size_t>(count)),
       values(kValues * static_cast<std::size_t>(count), kNaN);
   for (int i = 0; i < count; ++i) {
     below[2 * i] = points[i][0];
     below[2 * i + 1] = points[i][1];
   }
-  function_(below.data(), count, values.data());
-  std::vector<FootSearch> searches;
-  std::vector<std::size_t> first;
+  function(below.data(), count, values.data());
   for (int i = 0; i < count; ++i) {
     first.push_back(searches.size());
     const Vec2 start = points[i].head<2>();
@@ -132,20 +144,72 @@ void HeightSurface::nearest(const Vec3* points, int count, SurfaceFoot* feet) co
     }
   }
   first.push_back(searches.size());
-  follow(searches, function_);
+  follow(searches, function);
+}
+
+// The nearest one of the feet that were found; null: a search has failed. A function that fails at one place fails:
+// that is no reason to take another foot.
+const FootSearch* best_of(const std::vector<FootSearch>& searches, std::size_t from, std::size_t to) {
+  const FootSearch* best = nullptr;
+  for (std::size_t k = from; k < to; ++k) {
+    if (!searches[k].found()) return nullptr;
+    if (best == nullptr || searches[k].square() < best->square()) best = &searches[k];
+  }
+  return best;
+}
+
+}  // namespace
+
+void FunctionSurface::nearest(const Vec3* points, int count, SurfaceFoot* feet) const {
+  bool finite = true;
+  for (int i = 0; i < count; ++i) finite &= points[i].allFinite();
+  if (!finite) {
+    std::fill_n(feet, count, SurfaceFoot{kNaN, Vec3::UnitZ()});
+    return;
+  }
+  find(points, count, feet);
+  for (int i = 0; i < count; ++i)
+    if (!std::isfinite(feet[i].distance) && points[i].norm() < kFarthest) lost_(points[i]);
+}
+
+void HeightSurface::find(const Vec3* points, int count, SurfaceFoot* feet) const {
+  std::vector<FootSearch> searches;
+  std::vector<std::size_t> first;
+  search(points, count, function_, searches, first);
   for (int i = 0; i < count; ++i) {
-    const FootSearch* best = nullptr;
-    // Where the function fails at one place it fails: that is no reason to take another foot.
-    bool failed = false;
-    for (std::size_t k = first[i]; k < first[i + 1]; ++k) {
-      failed |= !searches[k].found();
-      if (searches[k].found() && (best == nullptr || searches[k].square() < best->square())) best = &searches[k];
-    }
-    feet[i] = failed || best == nullptr ? SurfaceFoot{kNaN, Vec3::UnitZ()} : best->foot();
+    const FootSearch* best = best_of(searches, first[i], first[i + 1]);
+    feet[i] = best == nullptr ? SurfaceFoot{kNaN, Vec3::UnitZ()} : best->foot();
   }
 }
 
-void DistanceSurface::nearest(const Vec3* points, int count, SurfaceFoot* feet) const {
+Mat3 HeightSurface::bend(const Vec3& point) const {
+  std::vector<FootSearch> searches;
+  std::vector<std::size_t> first;
+  search(&point, 1, function_, searches, first);
+  const FootSearch* best = best_of(searches, first[0], first[1]);
+  return best == nullptr ? Mat3(Mat3::Constant(kNaN)) : best->bend();
+}
+
+Mat3 DistanceSurface::bend(const Vec3& point) const {
+  SurfaceFoot foot{};
+  nearest(&point, 1, &foot);
+  const Vec3 at = point - foot.distance * foot.normal;
+  Vec3 places[6];
+  for (int k = 0; k < 3; ++k) {
+    places[2 * k] = at + kSide * Vec3::Unit(k);
+    places[2 * k + 1] = at - kSide * Vec3::Unit(k);
+  }
+  SurfaceFoot feet[6];
+  nearest(places, 6, feet);
+  Mat3 second;
+  for (int k = 0; k < 3; ++k) second.col(k) = (feet[2 * k].normal - feet[2 * k + 1].normal) / (2.0 * kSide);
+  const Mat3 across = Mat3::Identity() - foot.normal * foot.normal.transpose();
+  const bool known = std::isfinite(foot.distance) &&
+                     std::all_of(feet, feet + 6, [](const SurfaceFoot& f) { return std::isfinite(f.distance); });
+  return known ? Mat3(0.5 * across * (second + second.transpose()) * across) : Mat3(Mat3::Constant(kNaN));
+}
+
+void DistanceSurface::find(const Vec3* points, int count, SurfaceFoot* feet) const {
   std::vector<double> values(kValues * static_cast<std::size_t>(count), kNaN);
   function_(points[0].data(), count, values.data());
   for (int i = 0; i < count; ++i) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <utility>
 
 #include "model/tree.hpp"
 
@@ -17,18 +18,30 @@ struct SurfaceFoot {
 // A surface is constant, and asked by several threads at once.
 class FunctionSurface {
  public:
-  FunctionSurface() = default;
+  // Told of a point of which no foot is known although it is a place where bodies may be.
+  using Lost = std::function<void(const Vec3&)>;
+
+  explicit FunctionSurface(Lost lost) : lost_(std::move(lost)) {}
   FunctionSurface(const FunctionSurface&) = delete;
   FunctionSurface& operator=(const FunctionSurface&) = delete;
   virtual ~FunctionSurface() = default;
 
   // The feet of points in the frame of the surface. A distance that is not a number: the function failed there, or no
   // foot was found.
-  virtual void nearest(const Vec3* points, int count, SurfaceFoot* feet) const = 0;
+  void nearest(const Vec3* points, int count, SurfaceFoot* feet) const;
+
+  // At the foot of a point: how the outward normal changes along the surface, dn = B dx (Weingarten's map), symmetric
+  // and zero along the normal [1/m]. Positive where the solid bulges. Not finite where it is not known.
+  virtual Mat3 bend(const Vec3& point) const = 0;
 
   // Of the distance of a point, how much may be relied on for points that are far: a foot is searched for in the
   // neighbourhood that the distance spans, not everywhere.
   virtual double reliable_share() const = 0;
+
+ private:
+  virtual void find(const Vec3* points, int count, SurfaceFoot* feet) const = 0;
+
+  Lost lost_;
 };
 
 // z = f(x, y), solid below. The function is given points as rows x, y and fills rows f, f_x, f_y, f_xx, f_xy, f_yy.
@@ -42,11 +55,13 @@ class HeightSurface final : public FunctionSurface {
   using Function = std::function<void(const double* xy, int count, double* values)>;
   static constexpr int kValues = 6;
 
-  explicit HeightSurface(Function function) : function_(std::move(function)) {}
-  void nearest(const Vec3* points, int count, SurfaceFoot* feet) const override;
+  HeightSurface(Function function, Lost lost) : FunctionSurface(std::move(lost)), function_(std::move(function)) {}
+  Mat3 bend(const Vec3& point) const override;
   double reliable_share() const override { return 0.5; }
 
  private:
+  void find(const Vec3* points, int count, SurfaceFoot* feet) const override;
+
   Function function_;
 };
 
@@ -59,11 +74,14 @@ class DistanceSurface final : public FunctionSurface {
   // By how much the length of a gradient may differ from one: that of differences, not more.
   static constexpr double kUnit = 1e-6;
 
-  explicit DistanceSurface(Function function) : function_(std::move(function)) {}
-  void nearest(const Vec3* points, int count, SurfaceFoot* feet) const override;
+  DistanceSurface(Function function, Lost lost) : FunctionSurface(std::move(lost)), function_(std::move(function)) {}
+  // By differences of the gradient.
+  Mat3 bend(const Vec3& point) const override;
   double reliable_share() const override { return 1.0; }
 
  private:
+  void find(const Vec3* points, int count, SurfaceFoot* feet) const override;
+
   Function function_;
 };
 

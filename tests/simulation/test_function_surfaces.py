@@ -233,7 +233,7 @@ def test_a_ball_comes_to_rest_in_a_bowl() -> None:
     scene = with_ball(friction=0.4, restitution=0.3, **bowl)
     run = cvi.simulate(scene, at([0.3, 0.0, 0.4]), duration=2.0, dt=0.005, order=4)
     assert run.status.ok
-    assert {"begin", "stick"} <= {change.change for change in run.contact_changes}
+    assert run.contact_changes[-1].change == "begin"
     gaps = [abs(scene.core().gaps(q)[0][0]) for q in run.q[run.t > 1.5]]
     assert max(gaps) < 1e-9
 
@@ -309,7 +309,7 @@ def test_threads_of_a_batch_call_it() -> None:
     """Runs of a batch in two threads are those alone."""
     scene = with_ball(restitution=0.8, **WAVES)
     starts = np.array([at([0.1 * k, 0.0, 0.4]) for k in range(6)])
-    batch = cvi.simulate_batch(scene, starts, duration=0.6, dt=0.01, threads=2)
+    batch = cvi.simulate_batch(scene, starts, duration=0.6, dt=0.01, workers=2)
     for q0, run in zip(starts, batch.q, strict=True):
         alone = cvi.simulate(scene, q0, duration=0.6, dt=0.01)
         np.testing.assert_array_equal(np.asarray(run)[-1], alone.q[-1])
@@ -399,18 +399,33 @@ def test_functions_that_fail_end_the_run() -> None:
             cvi.simulate(scene, at([0.0, 0.0, 0.2]), duration=1.0, dt=0.01)
 
 
-def test_a_compiled_function_that_is_not_finite_ends_the_run_with_a_status() -> None:
+def test_a_compiled_function_that_is_not_finite_ends_the_run() -> None:
     def fails(x: float, y: float, values: Any) -> None:
         _compiled_bowl(x, y, values)
         if x > 0.35:
             values[0] = float("nan")
 
-    run = cvi.simulate(
-        with_ball(height=Compiled(fails), extent=[(-0.2, 0.2)] * 2), at([0.0, 0.0, 0.15]), [2.0, 0, 0, 0, 0, 0],
-        duration=1.0, dt=0.01,
-    )  # fmt: skip
-    assert not run.status.ok
-    assert run.t[-1] < 1.0
+    scene = with_ball(height=Compiled(fails), extent=[(-0.2, 0.2)] * 2)
+    with pytest.raises(UserFunctionError, match=r"(?s)ground.*finite"):
+        cvi.simulate(scene, at([0.0, 0.0, 0.15]), [2.0, 0.0, 0.0, 0.0, 0.0, 0.0], duration=1.0, dt=0.01)
+
+
+def test_a_distance_that_is_none_away_from_the_samples_ends_the_run() -> None:
+    """A true distance near the origin, twice it far from there."""
+
+    def distance(p: np.ndarray) -> np.ndarray:
+        return p[:, 2] * np.where(p[:, 0] < 1.0, 1.0, 2.0)
+
+    scene = with_ball(distance=distance, restitution=0.0)
+    with pytest.raises(UserFunctionError, match=r"(?s)ground.*length 2"):
+        cvi.simulate(scene, at([0.0, 0.0, 0.12]), [2.0, 0.0, 0.0, 0.0, 0.0, 0.0], duration=1.0, dt=0.01)
+
+
+def test_a_kink_has_no_nearest_point() -> None:
+    """In the bottom of a valley of two planes the search comes to no end, and says so."""
+    scene = with_ball(height=lambda p: 0.5 * np.abs(p[:, 0] - 0.013), restitution=0.0)
+    with pytest.raises(ContactviError):
+        cvi.simulate(scene, at([0.013, 0.0, 0.2]), duration=1.0, dt=0.01)
 
 
 def test_arguments_are_checked() -> None:
@@ -428,13 +443,6 @@ def test_arguments_are_checked() -> None:
     assert not scene.parts
 
 
-def test_derivatives_of_runs_with_its_contacts_are_refused() -> None:
-    run = cvi.simulate(with_ball(**WAVES), at([0.3, 0.2, 0.3]), duration=0.5, dt=0.01)
-    assert run.events
-    with pytest.raises(ContactviError, match="given by a function"):
-        run.sensitivity()
-
-
 # --- kept, drawn, copied ---------------------------------------------------------------------------------------------
 
 
@@ -442,7 +450,7 @@ def test_stored_runs_are_played_and_ask_for_the_function_again(tmp_path: Any) ->
     scene = with_ball(**WAVES)
     run = cvi.simulate(scene, at([0.3, 0.2, 0.3]), duration=0.3, dt=0.01)
     run.save(tmp_path / "run.npz")
-    loaded = cvi.load(tmp_path / "run.npz")
+    loaded = cvi.Trajectory.load(tmp_path / "run.npz")
     assert loaded.scene.missing == ["surface of ground"]
     loaded.to_html(tmp_path / "run.html")
     with pytest.raises(SceneError, match="surface of ground"):
@@ -473,4 +481,4 @@ def test_the_grid_is_drawn() -> None:
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.5, atol=2e-3)
     a, b, c = (points[corners[:, k]] for k in range(3))
     volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
-    assert abs(volume - 4.0 / 3.0 * np.pi * 0.125) < 5e-3
+    assert 0.98 < volume / (4.0 / 3.0 * np.pi * 0.125) < 1.0  # chords of cells of 5 cm
