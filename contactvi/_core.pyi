@@ -394,9 +394,9 @@ class Scene:
         Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e as a function of the closing speed (table, address of a C function, function) or None.
         """
 
-    def set_surface(self, geometry: int, function: int | Callable[[object], object], is_height: bool, reach: float) -> None:
+    def set_surface(self, geometry: int, function: int | Callable[[object], object], is_height: bool, reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
         """
-        Makes a halfspace a surface given by a function (address of a C function of one point, or function of arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body.
+        Makes a halfspace a surface given by a function (address of a C function of one point, or function of arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; lost: called with a point (3,) of which no nearest point is known, raises.
         """
 
 def follow_impact(G: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], w: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], mu: float, e: float, law: int) -> tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:

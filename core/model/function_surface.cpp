@@ -17,6 +17,9 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 // Hessian by differences a step leaves 1e-6 of its length.
 constexpr double kLast = 1e-9, kLastLength = 1e-10;
 constexpr int kRounds = 100;
+// Of the distance, and [m]: what may be left along the surface of the way from the foot to the point. More is left in a
+// kink, where steps become short because none descends.
+constexpr double kSkew = 1e-6, kSkewLength = 1e-9;
 // Squares of distances are known to rounding: one that is larger by this part has not grown.
 constexpr double kRounding = 1e-13;
 constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-6;
@@ -54,7 +57,7 @@ class FootSearch {
       damping_ = std::max(kFirstDamping, kMore * damping_);
     }
     if (last_)
-      state_ = State::kFound;
+      state_ = skew().norm() <= kSkew * std::sqrt(square_) + kSkewLength ? State::kFound : State::kFailed;
     else
       choose_next();
   }
@@ -76,16 +79,18 @@ class FootSearch {
  private:
   enum class State : std::uint8_t { kSearches, kFound, kFailed };
 
+  // The gradient of the squared distance.
+  Vec2 skew() const { return at_ - x_.head<2>() + up_ * slope_; }
+
   // Damping in units of 1 + |slope|^2, about what the Hessian of the squared distance is on an inclined plane.
   void choose_next() {
-    const Vec2 gradient = at_ - x_.head<2>() + up_ * slope_;
     Mat2 hessian = Mat2::Identity() + slope_ * slope_.transpose() + up_ * bend_;
     const double size = 1.0 + slope_.squaredNorm();
     const double middle = 0.5 * hessian.trace(),
                  least = middle - std::sqrt(std::max(0.0, middle * middle - hessian.determinant()));
     const double needed = std::max(damping_ * size, kFirstDamping * size - least);
     if (damping_ > 0.0 || !(least > 0.0)) hessian.diagonal().array() += needed;
-    const Vec2 step = -hessian.inverse() * gradient;
+    const Vec2 step = -hessian.inverse() * skew();
     next_ = at_ + step;
     last_ = step.norm() <= kLast * std::sqrt(square_) + kLastLength;
   }

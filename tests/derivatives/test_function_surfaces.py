@@ -71,6 +71,7 @@ RUNS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_on_surfaces(name: str) -> None:
     """Tangent against differences, and the adjoint against the tangent."""
@@ -84,7 +85,7 @@ def test_runs_on_surfaces(name: str) -> None:
 
 def test_second_derivatives_are_refused() -> None:
     """The third derivatives of such a gap are not known."""
-    scene, q, v = start("waves", "ball", 0.12, 0.0)
+    scene, q, v = start("waves", "ball", 0.2, 0.0, 0.8)
     traj = cvi.simulate(scene, q, v, duration=0.2, dt=0.01, record="gradient")
     with pytest.raises(cvi.NotDifferentiable, match="surface given by a function"):
         cvi.hessian_vector(traj, (np.ones(scene.nv), np.ones(scene.nv)), {"v0": np.ones(scene.nv)}, hessp="linear")
