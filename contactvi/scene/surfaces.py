@@ -147,7 +147,8 @@ class FunctionSurface:
         """Raise the UserFunctionError of a point (3,) [m] of which no nearest point is known."""
         rows = self.values(name, point[None, : len(self.extent)])[0]
         length = float(np.linalg.norm(rows[1:]))
-        wanted, got = "two continuous derivatives", "no nearest point is found"
+        wanted = "two continuous derivatives, and hollows that are wider than a ball in them"
+        got = "no nearest point, or two that the ball touches"
         if not np.isfinite(rows).all():
             wanted, got = "finite numbers", f"values {short(rows.tolist())}"
         elif self.kind == "distance" and abs(length - 1.0) > _UNIT:

@@ -329,7 +329,7 @@ void Manifolds::list_on_surface(int pair, const PairView& v, CandidateSink& sink
   for (const Vec3& x : o.vertices) over_surface_.push_back(surface.into(own.point(x)));
   const int count = static_cast<int>(over_surface_.size());
   feet_.resize(over_surface_.size());
-  g.surface->nearest(over_surface_.data(), count, feet_.data());
+  g.surface->nearest(over_surface_.data(), count, o.radius, feet_.data());
   for (int i = 0; i < count; ++i) {
     const double gap = feet_[i].distance - o.radius;
     if (gap > sink.limit) continue;
@@ -343,7 +343,7 @@ void Manifolds::surface_gap(const ContactPoint& p, const Placements& at, Contact
   const Pose surface = pose_of_surface(g, at);
   const Vec3 c = point_W(at, p.point_body, p.center_B), x = surface.into(c);
   SurfaceFoot foot{};
-  g.surface->nearest(&x, 1, &foot);
+  g.surface->nearest(&x, 1, p.radius, &foot);
   set_contact(p, surface.R * foot.normal, c, foot.distance - p.radius, contact);
 }
 

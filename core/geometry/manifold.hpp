@@ -20,8 +20,8 @@
 // (3) Lines that lie along each other, edges or axes swept by a radius, touch at both ends of the segment that they
 //     have in common, ends of lines (kEnd) or rims (kRimLine); so do they in all pairs of polytopes, cylinders and
 //     capsules (line_contact.hpp).
-// A surface that a function gives (model/function_surface.hpp) stands in the place of a halfspace: vertices, the ends of
-// a capsule and the centre of a ball, each against its own foot on the surface (kSurface).
+// A surface that a function gives (model/function_surface.hpp) stands in the place of a halfspace: vertices, the ends
+// of a capsule and the centre of a ball, each against its own foot on the surface (kSurface).
 //
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
 //     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two

@@ -26,6 +26,8 @@ constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-
 // Searches begin at the place below and, of points higher than this [m], around it.
 constexpr double kAround = 1e-6;
 constexpr int kDirections = 8;
+// Of a ball: feet that are no farther from each other are one.
+constexpr double kApart = 0.05;
 // [m] Iterations that diverge ask for points farther away than this: that they have no foot says nothing.
 constexpr double kFarthest = 1e6;
 // [m] Step of differences of gradients.
@@ -40,6 +42,7 @@ class FootSearch {
   bool ends() const { return state_ != State::kSearches; }
   bool found() const { return state_ == State::kFound; }
   double square() const { return square_; }
+  const Vec2& at() const { return at_; }
   void fail() { state_ = State::kFailed; }
 
   void take(const double* values) {
@@ -163,27 +166,36 @@ const FootSearch* best_of(const std::vector<FootSearch>& searches, std::size_t f
   return best;
 }
 
+// Whether a ball about the point reaches another foot beside the best one.
+bool touches_twice(const std::vector<FootSearch>& searches, std::size_t from, std::size_t to, const FootSearch& best,
+                   double ball) {
+  for (std::size_t k = from; k < to; ++k)
+    if (searches[k].square() < ball * ball && (searches[k].at() - best.at()).norm() > kApart * ball) return true;
+  return false;
+}
+
 }  // namespace
 
-void FunctionSurface::nearest(const Vec3* points, int count, SurfaceFoot* feet) const {
+void FunctionSurface::nearest(const Vec3* points, int count, double ball, SurfaceFoot* feet) const {
   bool finite = true;
   for (int i = 0; i < count; ++i) finite &= points[i].allFinite();
   if (!finite) {
     std::fill_n(feet, count, SurfaceFoot{kNaN, Vec3::UnitZ()});
     return;
   }
-  find(points, count, feet);
+  find(points, count, ball, feet);
   for (int i = 0; i < count; ++i)
     if (!std::isfinite(feet[i].distance) && points[i].norm() < kFarthest) lost_(points[i]);
 }
 
-void HeightSurface::find(const Vec3* points, int count, SurfaceFoot* feet) const {
+void HeightSurface::find(const Vec3* points, int count, double ball, SurfaceFoot* feet) const {
   std::vector<FootSearch> searches;
   std::vector<std::size_t> first;
   search(points, count, function_, searches, first);
   for (int i = 0; i < count; ++i) {
     const FootSearch* best = best_of(searches, first[i], first[i + 1]);
-    feet[i] = best == nullptr ? SurfaceFoot{kNaN, Vec3::UnitZ()} : best->foot();
+    const bool known = best != nullptr && !touches_twice(searches, first[i], first[i + 1], *best, ball);
+    feet[i] = known ? best->foot() : SurfaceFoot{kNaN, Vec3::UnitZ()};
   }
 }
 
@@ -197,7 +209,7 @@ Mat3 HeightSurface::bend(const Vec3& point) const {
 
 Mat3 DistanceSurface::bend(const Vec3& point) const {
   SurfaceFoot foot{};
-  nearest(&point, 1, &foot);
+  nearest(&point, 1, 0.0, &foot);
   const Vec3 at = point - foot.distance * foot.normal;
   Vec3 places[6];
   for (int k = 0; k < 3; ++k) {
@@ -205,7 +217,7 @@ Mat3 DistanceSurface::bend(const Vec3& point) const {
     places[2 * k + 1] = at - kSide * Vec3::Unit(k);
   }
   SurfaceFoot feet[6];
-  nearest(places, 6, feet);
+  nearest(places, 6, 0.0, feet);
   Mat3 second;
   for (int k = 0; k < 3; ++k) second.col(k) = (feet[2 * k].normal - feet[2 * k + 1].normal) / (2.0 * kSide);
   const Mat3 across = Mat3::Identity() - foot.normal * foot.normal.transpose();
@@ -214,7 +226,7 @@ Mat3 DistanceSurface::bend(const Vec3& point) const {
   return known ? Mat3(0.5 * across * (second + second.transpose()) * across) : Mat3(Mat3::Constant(kNaN));
 }
 
-void DistanceSurface::find(const Vec3* points, int count, SurfaceFoot* feet) const {
+void DistanceSurface::find(const Vec3* points, int count, double /*ball*/, SurfaceFoot* feet) const {
   std::vector<double> values(kValues * static_cast<std::size_t>(count), kNaN);
   function_(points[0].data(), count, values.data());
   for (int i = 0; i < count; ++i) {

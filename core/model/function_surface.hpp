@@ -26,9 +26,9 @@ class FunctionSurface {
   FunctionSurface& operator=(const FunctionSurface&) = delete;
   virtual ~FunctionSurface() = default;
 
-  // The feet of points in the frame of the surface. A distance that is not a number: the function failed there, or no
-  // foot was found.
-  void nearest(const Vec3* points, int count, SurfaceFoot* feet) const;
+  // The feet of points in the frame of the surface, about which there are balls of this radius [m]. A distance that is
+  // not a number: the function failed there, no foot was found, or a ball touches in two feet.
+  void nearest(const Vec3* points, int count, double ball, SurfaceFoot* feet) const;
 
   // At the foot of a point: how the outward normal changes along the surface, dn = B dx (Weingarten's map), symmetric
   // and zero along the normal [1/m]. Positive where the solid bulges. Not finite where it is not known.
@@ -39,7 +39,7 @@ class FunctionSurface {
   virtual double reliable_share() const = 0;
 
  private:
-  virtual void find(const Vec3* points, int count, SurfaceFoot* feet) const = 0;
+  virtual void find(const Vec3* points, int count, double ball, SurfaceFoot* feet) const = 0;
 
   Lost lost_;
 };
@@ -60,7 +60,7 @@ class HeightSurface final : public FunctionSurface {
   double reliable_share() const override { return 0.5; }
 
  private:
-  void find(const Vec3* points, int count, SurfaceFoot* feet) const override;
+  void find(const Vec3* points, int count, double ball, SurfaceFoot* feet) const override;
 
   Function function_;
 };
@@ -80,7 +80,7 @@ class DistanceSurface final : public FunctionSurface {
   double reliable_share() const override { return 1.0; }
 
  private:
-  void find(const Vec3* points, int count, SurfaceFoot* feet) const override;
+  void find(const Vec3* points, int count, double ball, SurfaceFoot* feet) const override;
 
   Function function_;
 };

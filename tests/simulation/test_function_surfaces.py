@@ -430,11 +430,20 @@ def test_a_distance_that_is_none_away_from_the_samples_ends_the_run() -> None:
         cvi.simulate(scene, at([0.0, 0.0, 0.12]), [2.0, 0.0, 0.0, 0.0, 0.0, 0.0], duration=1.0, dt=0.01)
 
 
+def test_a_hollow_that_is_narrower_than_the_ball_is_refused() -> None:
+    scene = with_ball(height=lambda p: 20.0 * p[:, 0] ** 2, restitution=0.0)
+    with pytest.raises(UserFunctionError, match="hollows that are wider"):
+        cvi.simulate(scene, at([0.02, 0.0, 0.6]), duration=1.0, dt=0.01)
+
+
 def test_a_sharp_crest_has_no_foot() -> None:
     """Over the edge of two planes the search for the nearest point comes to no end, and says so."""
-    scene = with_ball(height=lambda p: -0.5 * np.abs(p[:, 0] - 0.013), restitution=0.0)
+    scene = with_ball(
+        height=lambda p: -0.5 * np.abs(p[:, 0] - 0.013), restitution=0.0,
+        gradient=lambda p: np.stack([-0.5 * np.sign(p[:, 0] - 0.013), np.zeros(len(p))], axis=1),
+    )  # fmt: skip
     with pytest.raises(UserFunctionError, match="ground.*gives no gap"):
-        cvi.simulate(scene, at([0.013, 0.0, 0.2]), duration=1.0, dt=0.01)
+        cvi.simulate(scene, at([0.023, 0.0, 0.2]), duration=1.0, dt=0.01)
 
 
 def test_arguments_are_checked() -> None:
