@@ -12,7 +12,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi import UserFunctionError
-from contactvi.errors import ContactviError, InputError, SceneError
+from contactvi.errors import InputError, SceneError
 from oracles.surface_ball import GRAVITY, BallOnSurface
 
 RADIUS = 0.1
