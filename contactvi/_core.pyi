@@ -399,6 +399,11 @@ class Scene:
         Makes a halfspace a surface given by a function (address of a C function of one point, or function of arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; lost: called with a point (3,) of which no nearest point is known, raises.
         """
 
+    def set_surface_motion(self, geometry: int, linear: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], angular: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], profile: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:
+        """
+        Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by the time (table, address of a C function, function) or None.
+        """
+
 def follow_impact(G: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], w: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], mu: float, e: float, law: int) -> tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:
     """
     Impulse (n, t1, t2) of one point by the incremental law, and that until the end of the compression: (ok, (3,), (3,)).

@@ -19,6 +19,7 @@ from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
+from contactvi.scene.surface_motion import SurfaceMotion
 from contactvi.scene.surfaces import FunctionSurface
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def make_engine_scene(
     restitution: np.ndarray,
     friction: np.ndarray,
     laws: Sequence[tuple[PairLaw, list[int]]],
+    motions: Mapping[str, SurfaceMotion],
     arrays: JointArrays,
     elements: Resolved,
     surfaces: Mapping[str, FunctionSurface],
@@ -48,6 +50,7 @@ def make_engine_scene(
         pairs: Geometries of the tested pairs, int32 of shape (npairs, 2).
         restitution, friction: Of the tested pairs, shapes (npairs,).
         laws: Laws of contact, each with the places of its pairs.
+        motions: Of surfaces that move along themselves, by the names of their geometries.
         surfaces: Surfaces given by functions, by the names of their geometries.
 
     Raises:
@@ -78,6 +81,8 @@ def make_engine_scene(
             scene.set_surface(
                 number, surface.engine(name), surface.kind == "height", surface.reach, partial(surface.lost, name)
             )
+        for name, motion in motions.items():
+            scene.set_surface_motion(int(collision.getGeometryId(name)), *motion.engine(name))
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)

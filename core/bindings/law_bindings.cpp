@@ -33,29 +33,29 @@ namespace contactvi {
 namespace {
 
 using Table = std::pair<std::vector<double>, std::vector<double>>;
-using OfSpeed = nb::typed<nb::callable, double(double)>;
+using OfNumber = nb::typed<nb::callable, double(double)>;
 using Address = std::uintptr_t;  // of a C function double(double)
-using Given = std::variant<Table, Address, OfSpeed>;
+using Given = std::variant<Table, Address, OfNumber>;
 
 std::function<double(double)> function_of(Scene& s, const Given& given) {
   if (const Address* address = std::get_if<Address>(&given))
     return reinterpret_cast<double (*)(double)>(*address);  // NOLINT: the caller says what is there
-  return [call = keep(s, std::get<OfSpeed>(given))](double speed) {
-    return guarded(call, std::numeric_limits<double>::quiet_NaN(), [&] { return nb::cast<double>(call(speed)); });
+  return [call = keep(s, std::get<OfNumber>(given))](double place) {
+    return guarded(call, std::numeric_limits<double>::quiet_NaN(), [&] { return nb::cast<double>(call(place)); });
   };
 }
 
 // Stands for a coefficient of restitution that depends on the speed: neither plastic nor elastic.
 constexpr double kVaries = 0.5;
 
-SpeedFunction speed_function(Scene& s, const std::optional<Given>& value) {
+NumberFunction number_function(Scene& s, const std::optional<Given>& value) {
   if (!value) return {};
   if (const Table* table = std::get_if<Table>(&*value)) {
     if (table->first.empty() || table->first.size() != table->second.size())
-      throw Error("a table needs as many values as speeds");
+      throw Error("a table needs as many values as places");
     return {table->first, table->second};
   }
-  return SpeedFunction(function_of(s, *value));
+  return NumberFunction(function_of(s, *value));
 }
 
 void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, bool incremental, bool keeps_energy,
@@ -66,7 +66,7 @@ void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, b
   law.incremental = incremental;
   law.keeps_energy = keeps_energy;
   law.tangential = tangential;
-  law.e = speed_function(s, e);
+  law.e = number_function(s, e);
   for (const int pair : pairs) {
     if (pair < 0 || pair >= static_cast<int>(s.pairs.size())) throw Error("there is no such pair");
     Pair& taken = s.pairs[static_cast<std::size_t>(pair)];
@@ -137,6 +137,14 @@ void set_surface(Scene& s, int geometry, const GivenSurface& given, bool is_heig
   g.reach = reach;
 }
 
+void set_surface_motion(Scene& s, int geometry, const Vec3& linear, const Vec3& angular,
+                        const std::optional<Given>& profile) {
+  if (geometry < 0 || geometry >= static_cast<int>(s.geometries.size())) throw Error("there is no such geometry");
+  s.geometries[static_cast<std::size_t>(geometry)].motion = static_cast<int>(s.surface_motions.size());
+  s.surface_motions.push_back({linear, angular, number_function(s, profile)});
+  for (Pair& pair : s.pairs) pair.moves |= pair.a == geometry || pair.b == geometry;
+}
+
 }  // namespace
 
 void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
@@ -152,6 +160,10 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
             "d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; "
             "lost: called with a point (3,) of which no nearest point "
             "is known, raises.");
+  scene.def(
+      "set_surface_motion", &set_surface_motion, "geometry"_a, "linear"_a, "angular"_a, "profile"_a.none(),
+      "Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by "
+      "the time (table, address of a C function, function) or None.");
   m.def(
       "follow_impact",
       [](const Mat3& G, const Vec3& w, double mu, double e, int law) {

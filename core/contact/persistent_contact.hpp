@@ -18,10 +18,13 @@ struct PersistentContact {
   Vec3 tangent;                 // t1; of a vertex in the plane's body frame, else in the world, turned with the normal
   Vec3 force = Vec3::Zero();    // (n, t1, t2) in the last step [N]: start values of the next one
   bool is_new = false;          // while an event is resolved: the contact was not closed before it
+  bool carried = false;         // a surface of the pair moves along itself
 
   int rows() const { return mu > 0.0 ? 3 : 1; }
-  // Whether it is a material point that sticks at a place, and not surfaces that roll on each other.
-  bool keeps_place() const { return mu > 0.0 && sticks && point.material; }
+  // Whether its slip is the displacement of a material point, and not a velocity: surfaces that roll on each other, or
+  // move along themselves, have no such displacement.
+  bool counts_by_place() const { return point.material && !carried; }
+  bool keeps_place() const { return mu > 0.0 && sticks && counts_by_place(); }
   bool slides() const { return mu > 0.0 && !sticks; }  // with friction
 };
 

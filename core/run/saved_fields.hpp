@@ -152,8 +152,8 @@ void fields(Archive& a, Contact& x) {
 
 template <class Archive>
 void fields(Archive& a, PersistentContact& x) {
-  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new] = x;
-  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new);
+  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, carried] = x;
+  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, carried);
 }
 
 template <class Archive>
