@@ -140,6 +140,8 @@ class PointKind(enum.IntEnum):
 
     RIM_LINE = 6
 
+    SURFACE = 7
+
 class ConstraintKind(enum.Enum):
     """What a constraint holds; core/model/constraints.hpp has the residuals."""
 
@@ -390,6 +392,11 @@ class Scene:
     def set_contact_law(self, pairs: Sequence[int], restitution: int, incremental: bool, keeps_energy: bool, tangential: float, e: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, mu: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, static_mu: float | None, pull: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, axis_of: int, axis: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], shares: Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')]) -> None:
         """
         Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution; e as a function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis along which and across which friction has its shares.
+        """
+
+    def set_surface(self, geometry: int, function: int | Callable[[object], object], is_height: bool, reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
+        """
+        Makes a halfspace a surface given by a function (address of a C function of one point, or function of arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; lost: called with a point (3,) of which no nearest point is known, raises.
         """
 
     def set_surface_motion(self, geometry: int, linear: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], angular: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], profile: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:

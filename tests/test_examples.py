@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pathlib
 import re
@@ -19,7 +20,7 @@ SLOW = ("cart_optimization", "hand_throw", "hand_roll", "hand_mppi", "puppet_opt
 # Pages whose code is run.
 PAGES = (
     "README.md", "docs/guide.md", "docs/optimal_control.md", "docs/coming_from_trep.md", "docs/coming_from_mujoco.md",
-    "docs/coming_from_pinocchio.md",
+    "docs/coming_from_pinocchio.md", "docs/extending.md",
 )  # fmt: skip
 NEEDS = {"identify_torch": "torch"}  # examples and the packages that they need, which the test extra does not bring
 
@@ -306,3 +307,26 @@ def test_code_of_the_page_on_pinocchio_runs(tmp_path):
 def test_code_of_the_page_on_trep_runs(tmp_path):
     """Shapes of f, fdx, fdu and fdxdx of a cart with one force."""
     assert run_marked("trep", tmp_path) == ["(4,) (4, 4) (4, 1) (4, 4)"]
+
+
+def test_extending_own_force_runs(tmp_path):
+    """A ball that falls for 5 s is as fast as its drag allows: v = v_limit tanh(g t / v_limit)."""
+    speed, limit = map(float, run_marked("own-force", tmp_path)[0].split())
+    assert abs(speed - limit * math.tanh(9.81 * 5.0 / limit)) < 1e-6
+
+
+def test_extending_own_law_runs(tmp_path):
+    assert abs(float(run_marked("own-law", tmp_path)[0]) - 0.9 * math.exp(-0.1 * math.sqrt(2.0 * 9.81 * 0.95))) < 1e-10
+
+
+def test_extending_own_guard_runs(tmp_path):
+    """Ball and box bounce on the waves and lie on them in the end, and the page is written."""
+    ok, events, closed = run_marked("own-guard", tmp_path)[0].split()
+    assert (ok, closed) == ("True", "True")
+    assert int(events) > 4
+    assert (tmp_path / "waves.html").stat().st_size > 0
+
+
+def test_extending_own_sensor_runs(tmp_path):
+    read, known = map(float, run_marked("own-sensor", tmp_path)[0].split())
+    assert abs(read - known) < 1e-12

@@ -75,6 +75,8 @@ class Part:
             where they start apart: their depths as text, and whether both shapes were of one part.
         self_collision: whether links of the model may touch each other.
         mimics: mimic tags by joint, for the report.
+        surfaces: surfaces given by functions (contactvi.scene.surfaces), each by the name of the geometry, a halfspace,
+            in whose place it stands.
         data: what else the file says.
     """
 
@@ -93,6 +95,7 @@ class Part:
     neutral_overlaps: Mapping[tuple[int, int], tuple[str, bool]] = field(default_factory=dict)
     self_collision: bool = True
     mimics: Mapping[str, object] = field(default_factory=dict)
+    surfaces: Mapping[str, Any] = field(default_factory=dict)
     data: FileData = field(default_factory=FileData)
 
     def joint_names(self) -> list[str]:
@@ -298,6 +301,8 @@ def copy_geometry(source: pin.GeometryModel | None) -> pin.GeometryModel:
 def pictures(part: Part) -> list[Picture]:
     """Return the part's pictures, halfspaces as plates."""
     return [
-        Picture(plate_of(shape) if isinstance(shape.geometry, coal.Halfspace) else shape.copy(), surface)
+        Picture(
+            plate_of(shape) if surface is None and isinstance(shape.geometry, coal.Halfspace) else shape.copy(), surface
+        )
         for shape, surface in ((picture.geometry, picture.surface) for picture in part.load_pictures())
     ]

@@ -153,7 +153,8 @@ class Visual:
 
 def from_scene(scene: Scene) -> list[Visual]:
     """Return what is to be drawn of a scene, at most MAX_TRIANGLES triangles."""
-    planes = {solid.name: Picture(solid) for solid in scene.collision_model.geometryObjects if _is_plane(solid)}
+    solids = [s for s in scene.collision_model.geometryObjects if s.name not in scene.surfaces]
+    planes = {solid.name: Picture(solid) for solid in solids if _is_plane(solid)}
     shown = [picture for picture in scene.pictures() if picture.geometry.name not in planes]
     found = [visual for picture in (*shown, *planes.values()) if (visual := from_picture(picture)) is not None]
     return thin_out(found + _lines(scene), MAX_TRIANGLES)

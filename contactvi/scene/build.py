@@ -26,6 +26,7 @@ from contactvi.scene.pairs import NeutralOverlaps, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
 from contactvi.scene.surface_motion import SurfaceMotion
+from contactvi.scene.surfaces import FunctionSurface, refuse_untouchable
 from contactvi.states import States
 
 
@@ -66,6 +67,7 @@ class Built:
         surface_motions: Of the geometries whose surfaces move along themselves, by their names.
         elements: Constraints, springs and forces as the engine takes them.
         names: What selectors mean.
+        surfaces: Surfaces given by functions, by the names of their geometries.
     """
 
     model: pin.Model
@@ -82,13 +84,14 @@ class Built:
     surface_motions: dict[str, SurfaceMotion]
     elements: Resolved
     names: Names
+    surfaces: dict[str, FunctionSurface]
 
     @cached_property
     def engine(self) -> EngineScene:
         """The engine's scene (contactvi._core.Scene), made on first use; raises SceneError where it refuses."""
         return make_engine_scene(
             self.model, self.collision, self.pairs.numbers, self.restitution, self.friction, self.laws,
-            self.surface_motions, self.arrays, self.elements,
+            self.surface_motions, self.arrays, self.elements, self.surfaces,
         )  # fmt: skip
 
     def coefficients(self, kind: str) -> list[tuple[tuple[str, str], float]]:
@@ -170,6 +173,8 @@ def build(
     names = list(index)
     soft = contact.compliance.mask(names)
     chosen, removed, overlaps, compliant = choose_pairs(assembly, parts.parts, disabled, enabled, tested, soft)
+    surfaces = parts.surfaces
+    refuse_untouchable(chosen, compliant, list(collision.geometryObjects), set(surfaces))
     resolved = resolve(elements, model, start)
     mu = contact.friction.values(names, compliant)
     resolved.compliances = compliance_rows(contact.compliance, names, compliant, mu)
@@ -197,4 +202,5 @@ def build(
         {name: motion for name, motion in contact.surface_motions.items() if name in index},
         resolved,
         parts.names,
+        surfaces,
     )

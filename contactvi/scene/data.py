@@ -7,8 +7,9 @@ joints      [{name, parent (index, 0 = world), type, axis, pitch, placement, mas
             of mass), lower, upper, damping, friction, armature}] in Pinocchio order without the universe; placement
             is {xyz, rotation (3x3)} in the parent joint's frame; lower and upper have nq numbers, the others nv
 bodies      [{name, joint, placement}]
-geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}]; the pictures of a
-            trajectory are stored beside the scene (visuals.py)
+geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}
+            of a surface that a function gives: {type, kind, extent, vertices, faces}, the grid that is drawn]; the
+            pictures of a trajectory are stored beside the scene (visuals.py)
 pairs, pair_restitution, pair_friction, restitution, friction (defaults)
 compliances [{pair, stiffness, exponent, damping, friction, slip_speed}]: the compliant pairs, which are not among
             `pairs`. Not in files of older versions
@@ -19,7 +20,7 @@ stiffness, rest, limits, limit_restitution; start (neutral q); parts {name: {joi
 dry_friction (nv), servo (3 x nv: kp, kd, effort), actuator (2 x nv: effort, velocity limits; inf: none), targets of
             servos {joint: motion}, polynomials [[joint (index), rest, [k1, k2, ...]]] of nonlinear springs
 elements    as Element.to_data (elements.py); a motion is a number or {times, values}. missing: names of elements and
-            targets that Python functions gave, which are not stored
+            targets that functions gave, and "surface of NAME" of surfaces, which are not stored
 q0, v0, settings
 camera      as `camera_of` takes it, or None; not in files of older versions
 """
@@ -53,6 +54,7 @@ from contactvi.scene.joints import JointSettings, JointTable, Servo
 from contactvi.scene.pair_rules import Rule
 from contactvi.scene.selection import PartHandle
 from contactvi.scene.surface_motion import motions_from_data, motions_to_data
+from contactvi.scene.surfaces import FunctionSurface, missing_name, surface_from_dict, surface_to_dict, with_surface
 
 FORMAT = "contactvi-scene"
 VERSION = 1
@@ -91,7 +93,7 @@ def scene_to_dict(
             for f in model.frames
             if f.type == pin.FrameType.BODY
         ],
-        "geometries": [_geometry_to_dict(model, g) for g in built.collision.geometryObjects],
+        "geometries": [_geometry_to_dict(model, g, built.surfaces) for g in built.collision.geometryObjects],
         "pairs": [list(pair) for pair in built.pairs],
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
@@ -109,9 +111,10 @@ def scene_to_dict(
         **_actuation_to_dict(built),
         "elements": [element.to_data() for element in elements.elements if element.storable],
         "missing": [
-            *elements.missing,
+            *(name for name in elements.missing if name not in map(missing_name, built.surfaces)),
             *(element.name for element in elements.elements if not element.storable),
             *(f"the law of contact of {built.pairs[places[0]]}" for law, places in built.laws if not law.storable),
+            *(missing_name(name) for name in built.surfaces),
             *(
                 f"the surface velocity of {name}"
                 for name, motion in built.surface_motions.items()
@@ -173,6 +176,9 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         given_pairs=[(index[a], index[b]) for a, b in [*data["pairs"], *soft]],
         neutral_overlaps={(index[a], index[b]): row for (a, b), row in overlaps.items()},
     )
+    for item in data["geometries"]:
+        if item["shape"]["type"] == "surface":
+            part = with_surface(part, str(item["name"]), surface_from_dict(item["shape"]))
     handles = {
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
         for name, group in data["parts"].items()
@@ -324,10 +330,15 @@ def _model(data: Mapping[str, Any]) -> pin.Model:
     return model
 
 
-def _geometry_to_dict(model: pin.Model, geometry: pin.GeometryObject) -> dict[str, Any]:
+def _geometry_to_dict(
+    model: pin.Model, geometry: pin.GeometryObject, surfaces: Mapping[str, FunctionSurface]
+) -> dict[str, Any]:
     shape = geometry.geometry
-    if isinstance(shape, coal.Halfspace):
-        plain: dict[str, Any] = {"type": "halfspace", "normal": shape.n.tolist(), "offset": float(shape.d)}
+    plain: dict[str, Any]
+    if geometry.name in surfaces:
+        plain = surface_to_dict(geometry.name, surfaces[geometry.name])
+    elif isinstance(shape, coal.Halfspace):
+        plain = {"type": "halfspace", "normal": shape.n.tolist(), "offset": float(shape.d)}
     elif isinstance(shape, coal.Convex):
         plain = {"type": "convex", "vertices": np.array(shape.points()), "faces": faces_of(shape)}
     else:
@@ -343,6 +354,8 @@ def _geometry_to_dict(model: pin.Model, geometry: pin.GeometryObject) -> dict[st
 
 def _shape(data: Mapping[str, Any]) -> coal.CollisionGeometry:
     kind = data["type"]
+    if kind == "surface":
+        return coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
     if kind == "halfspace":
         return coal.Halfspace(np.array(data["normal"], dtype=float), float(data["offset"]))
     if kind == "convex":

@@ -6,6 +6,7 @@ Models cross to C++ as numbers, shapes by the addresses of coal's objects, of wh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -19,6 +20,7 @@ from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
 from contactvi.scene.surface_motion import SurfaceMotion
+from contactvi.scene.surfaces import FunctionSurface
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -39,6 +41,7 @@ def make_engine_scene(
     motions: Mapping[str, SurfaceMotion],
     arrays: JointArrays,
     elements: Resolved,
+    surfaces: Mapping[str, FunctionSurface],
 ) -> EngineScene:
     """Return the engine's scene.
 
@@ -48,6 +51,7 @@ def make_engine_scene(
         restitution, friction: Of the tested pairs, shapes (npairs,).
         laws: Laws of contact, each with the places of its pairs.
         motions: Of surfaces that move along themselves, by the names of their geometries.
+        surfaces: Surfaces given by functions, by the names of their geometries.
 
     Raises:
         EngineError: The engine refuses it.
@@ -72,6 +76,11 @@ def make_engine_scene(
         for law, places in laws:
             a, b = (collision.geometryObjects[int(k)].name for k in pairs[places[0]])
             scene.set_contact_law(places, **law.engine((a, b)))
+        for name, surface in surfaces.items():
+            number = collision.getGeometryId(name)
+            scene.set_surface(
+                number, surface.engine(name), surface.kind == "height", surface.reach, partial(surface.lost, name)
+            )
         for name, motion in motions.items():
             scene.set_surface_motion(int(collision.getGeometryId(name)), *motion.engine(name))
         _set_joints(scene, arrays)

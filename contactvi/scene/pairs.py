@@ -150,7 +150,10 @@ def choose_pairs(
     by_user = np.zeros((count, count), dtype=bool)
     for a, b in disabled:
         by_user[min(a, b), max(a, b)] = True
+    surfaces = {name for part in parts for name in part.surfaces}
+    by_function = np.array([name in surfaces for name in names], dtype=bool)
     solid = np.array([not isinstance(g.geometry, coal.Halfspace) for g in geometry.geometryObjects], dtype=bool)
+    solid |= by_function
     endless = ~(solid[:, None] | solid[None, :])
     forced &= ~by_user & ~endless
     drop(endless, HALFSPACES)
@@ -162,7 +165,8 @@ def choose_pairs(
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
     soft = (keep | forced) & (False if compliant is None else compliant)
     rigid = keep & ~forced & ~soft
-    details = _overlaps(assembly, parts, rigid & ~(given & ~_checked(assembly, parts)))
+    known = ~(by_function[:, None] | by_function[None, :])  # coal knows no surfaces that functions give
+    details = _overlaps(assembly, parts, rigid & known & ~(given & ~_checked(assembly, parts)))
     stored = _stored_overlaps(assembly, parts)
     details |= {pair: row[0] for pair, row in stored.items() if rigid[pair]}
     mask = np.zeros((count, count), dtype=bool)

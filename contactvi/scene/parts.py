@@ -11,6 +11,7 @@ from contactvi.importing.part import Part, take_names, with_inertia
 from contactvi.importing.pictures import Picture, with_meshes
 from contactvi.scene.assembly import Assembly, assemble, assemble_pictures
 from contactvi.scene.selection import Names, PartHandle
+from contactvi.scene.surfaces import FunctionSurface, with_surface
 
 Handle = TypeVar("Handle", bound=PartHandle)
 
@@ -83,6 +84,17 @@ class PartList:
         if self._visual is None:
             self._visual = with_meshes(self.pictures)
         return self._visual
+
+    @property
+    def surfaces(self) -> dict[str, FunctionSurface]:
+        """The surfaces given by functions, by the names of their geometries."""
+        return {name: surface for part in self.parts for name, surface in part.surfaces.items()}
+
+    def set_surface(self, name: str, surface: FunctionSurface) -> None:
+        """Set the function of a surface, in a new part that stands in the place of the old one."""
+        at = next(k for k, part in enumerate(self.parts) if name in part.surfaces)
+        self.parts[at] = with_surface(self.parts[at], name, surface)
+        self._pictures = self._visual = None
 
     def named_configurations(self, neutral: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return q (nq,) and v (nv,) by name; `neutral` (nq,) is where the other parts are."""

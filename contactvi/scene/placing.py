@@ -93,7 +93,12 @@ def _halfspaces(built: Built, carried: set[str]) -> dict[str, list[int]]:
     found: dict[str, list[int]] = {}
     for k, (a, b) in enumerate((*built.pairs, *(row.names for row in built.elements.compliances))):
         for own, other in ((a, b), (b, a)):
-            if own in carried and isinstance(shapes[other], coal.Halfspace) and built.carriers[other] == 0:
+            if (
+                own in carried
+                and isinstance(shapes[other], coal.Halfspace)
+                and built.carriers[other] == 0
+                and other not in built.surfaces
+            ):
                 found.setdefault(other, []).append(k)
     return found
 

@@ -49,6 +49,7 @@ from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import Names, PartHandle, Selector
 from contactvi.scene.separation import Separation, separate
 from contactvi.scene.shown import scene_html
+from contactvi.scene.surfaces import FunctionSurface, function_surface, missing_name
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -384,6 +385,34 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         model = self._parts.assembly.model
         self._set_joints(with_one_dof(model, self.names.select_joints(joint)), effort=effort, velocity=velocity)
 
+    def set_surface(
+        self,
+        name: str,
+        *,
+        height: Any = None,
+        distance: Any = None,
+        gradient: Any = None,
+        hessian: Any = None,
+        extent: ArrayLike | None = None,
+    ) -> None:
+        """Set the function of a surface again, as of `add_surface`: another one, or that of a scene that was stored.
+
+        Raises:
+            InputError, UserFunctionError: as `add_surface`; there is no such surface, or one of the other kind.
+        """
+        known = self.surfaces.get(name)
+        box = known.extent if extent is None and known is not None else extent
+        surface = function_surface(height, distance, gradient, hessian, box)
+        if known is None or known.kind != surface.kind:
+            raise InputError(
+                "Unknown surface", name="name", expected=f"a surface given by a {surface.kind}",
+                got=repr(name), remedy=did_you_mean(str(name), list(self.surfaces)),
+            )  # fmt: skip
+        surface.check(name)
+        self._parts.set_surface(name, surface)
+        self._elements.supply({missing_name(name)})
+        self._built = None
+
     # --- what the scene is --------------------------------------------------------------------------------------------
 
     @property
@@ -426,6 +455,11 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
     def visual_model(self) -> pin.GeometryModel:
         """The pictures; loaded on first use. Halfspaces are plates."""
         return self._parts.visual
+
+    @property
+    def surfaces(self) -> dict[str, FunctionSurface]:
+        """The surfaces given by functions, by the names of their geometries."""
+        return self._parts.surfaces
 
     def pictures(self) -> list[Picture]:
         """Return what is drawn, as `visual_model` with meshes as plain arrays; loaded on first use."""
@@ -630,7 +664,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle keeps: the data of to_dict, and what these leave out because Python functions gave it."""
         goals = {name: goal for name, goal in self.built().arrays.targets.items() if not goal.storable}
-        return _restored, (type(self), self.to_dict(), self._elements, goals)
+        return _restored, (type(self), self.to_dict(), self._elements, goals, self.surfaces)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""
@@ -650,9 +684,11 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         scene._camera = stored.camera
         return scene
 
-    def restore(self, elements: ElementList, goals: Mapping[str, Any]) -> None:
-        """Give a scene from data the elements and the motions of servos that data do not hold (for pickle)."""
+    def restore(self, elements: ElementList, goals: Mapping[str, Any], surfaces: Mapping[str, FunctionSurface]) -> None:
+        """Give a scene from data the elements, motions of servos and surfaces that data do not hold (for pickle)."""
         self._elements = elements
+        for name, surface in surfaces.items():
+            self._parts.set_surface(name, surface)
         for name, goal in goals.items():
             servo = self._joints.of(name).servo
             assert servo is not None
@@ -691,10 +727,16 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         return built.start.copy() if q is None else built.states.configuration(q, "q")
 
 
-def _restored(kind: type[Scene], data: Mapping[str, Any], elements: ElementList, goals: Mapping[str, Any]) -> Scene:
+def _restored(
+    kind: type[Scene],
+    data: Mapping[str, Any],
+    elements: ElementList,
+    goals: Mapping[str, Any],
+    surfaces: Mapping[str, FunctionSurface],
+) -> Scene:
     """Return a scene from what pickle kept; goals: motions of servos by joint name."""
     scene = kind.from_dict(data)
-    scene.restore(elements, goals)
+    scene.restore(elements, goals, surfaces)
     return scene
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import coal
+import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from contactvi.importing import part as shapes
 from contactvi.importing.mesh_bodies import mesh_shapes, mesh_source, solid_inertia
@@ -16,6 +19,9 @@ from contactvi.importing.part import Part, check_body_name, shape_part
 from contactvi.inputs import flag, pose
 from contactvi.scene.parts import Handle
 from contactvi.scene.selection import BodyHandle
+from contactvi.scene.surfaces import function_surface, with_surface
+
+SurfaceFunction = Callable[[NDArray[np.float64]], ArrayLike]
 
 
 class SceneShapes(ABC):
@@ -125,6 +131,59 @@ class SceneShapes(ABC):
         """Add the solid halfspace n . x <= offset [m], fixed to the world; n is the normal made a unit vector."""
         shape = shapes.halfspace(normal, offset, name)
         return self._add(shape_part(name, [shape], None, pin.SE3.Identity(), color), BodyHandle)
+
+    def add_surface(
+        self,
+        name: str,
+        *,
+        height: SurfaceFunction | None = None,
+        distance: SurfaceFunction | None = None,
+        gradient: Callable[..., Any] | None = None,
+        hessian: Callable[..., Any] | None = None,
+        extent: ArrayLike | None = None,
+        placement: Any = None,
+        color: Any = None,
+        inertia: pin.Inertia | None = None,
+    ) -> BodyHandle:
+        """Add a solid whose surface a function gives: terrain z = f(x, y), or a signed distance d(x, y, z).
+
+        Functions are of many points at once, in the frame of `placement`: arrays (n, 2) or (n, 3) [m], and return (n,).
+        What touches such a surface: balls, by the distance of the centre from the nearest point of the surface;
+        capsules, by both ends; boxes and convex hulls, by their vertices. So edges, faces and the middle of a capsule
+        do not meet a bump that is thinner than they are long. Other shapes are refused (SceneError) when the scene is
+        made. A ball needs one nearest point: a hollow has to be wider than it is.
+
+        Args:
+            name: of the body, its geometry and its part.
+            height: f of points (n, 2) [m], twice continuously differentiable; the solid lies below. The distance is
+                that of the nearest point, not the height above the ground. Compiled: an object whose `address` is that
+                of a C function void(double x, double y, double values[6]) that fills f, f_x, f_y, f_xx, f_xy, f_yy, as
+                numba.cfunc("void(float64, float64, CPointer(float64))"); it is called without the interpreter, by
+                several threads at once.
+            distance: d of points (n, 3) [m], negative inside: a true distance, with a gradient of length 1, which is
+                checked here, and in a run, which ends where the length differs by more than 1e-6. Compiled:
+                void(double x, double y, double z, double values[4]) that fills d, d_x, d_y, d_z.
+            gradient: of points, returns (n, 2) or (n, 3); None: by differences of fourth order, which take 13 points.
+            hessian: of a height, returns (n, 2, 2); None: by differences.
+            extent: what is drawn [m], low and high along each axis, (2, 2) or (3, 2); by default -1 to 1. Of a
+                distance on a free body all of the solid has to lie within.
+            placement: of the surface in the world, as in add_sphere.
+            color: rgba in 0..1.
+            inertia: None: fixed to the world; else a free body with this inertia about its frame, that of `distance`.
+
+        Raises:
+            InputError: no function or two; a gradient that is not that of the function; a distance that is none.
+            UserFunctionError: a function raised, or returned something else than finite numbers of the right shape.
+        """
+        check_body_name(name)
+        surface = function_surface(height, distance, gradient, hessian, extent)
+        surface.check(name)
+        where = pose("placement", placement)
+        shape = shapes.halfspace((0.0, 0.0, 1.0), 0.0, name)
+        text = f"surface given by a {surface.kind}"
+        part = shape_part(name, [shape], inertia, where, color, text)
+        part.report.geometries[0] = replace(part.report.geometries[0], shape=text.capitalize())
+        return self._add(with_surface(part, name, surface), BodyHandle)
 
     def _add_shape(
         self,

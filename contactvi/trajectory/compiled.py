@@ -300,7 +300,8 @@ def _refuse_missing(scene: Scene) -> None:
             f"The scene lacks {', '.join(repr(name) for name in missing)}",
             expected="every element that the stored scene had",
             got="elements given by Python functions, which files do not hold",
-            remedy="Add them again under their names, or take them out: scene.remove(name)",
+            remedy="Add them again under their names (a surface: scene.set_surface), or take them out: "
+            "scene.remove(name)",
         )
 
 

@@ -17,6 +17,13 @@ from contactvi.verify.case import Case, Runs
 
 _POINT = 1e-8  # [m] radius of the ball that stands for a point
 _DIGITS = "a point is a ball of 1e-8 m"
+# Of `ball_on_waves`, by tests/oracles/surface_ball.py.
+_BOUNCES = [0.26983746702406525, 0.7617580313362451, 1.2069460165656505]
+_CENTER = [0.18825838925377178, 0.10248485729188399, 0.12624836592804958]
+_SLIDE = [0.5151440012863606, 0.31271460486957914, 0.053099501308036035, 0.0, 0.0, 0.0]
+_SLID_TO = [0.37048275963659066, 0.7659175699016553, 0.07082441821895792]
+_ROLL = [0.394623894791432, 0.18681276529542976, 0.04199672840114495, -2.0, 4.0, 1.0]
+_ROLLED_TO = [0.2852671609478495, 0.48742020978711753, 0.10472867720373581]
 
 
 def super_ball(runs: Runs) -> list[Check]:
@@ -135,10 +142,41 @@ def woodpecker_toy(runs: Runs) -> list[Check]:
     ]
 
 
+def ball_on_waves(runs: Runs) -> list[Check]:
+    """A ball on z = .05 sin 3x cos 3y: bounces of the parabola on the offset surface, sliding and rolling by DOP853."""
+    radius, checks = 0.1, []
+
+    def height(p: np.ndarray) -> np.ndarray:
+        return 0.05 * np.sin(3.0 * p[:, 0]) * np.cos(3.0 * p[:, 1])
+
+    def gradient(p: np.ndarray) -> np.ndarray:
+        x, y = 3.0 * p.T
+        return 0.15 * np.stack([np.cos(x) * np.cos(y), -np.sin(x) * np.sin(y)], axis=1)
+
+    def scene(restitution: float, friction: float) -> Scene:
+        made = Scene()
+        made.add_surface("ground", height=height, gradient=gradient)
+        made.add_sphere("ball", radius)
+        made.set_contact(restitution=restitution, friction=friction)
+        return made
+
+    def start(x: list[float]) -> list[float]:
+        return [*x, 0.0, 0.0, 0.0, 1.0]
+
+    traj = runs.simulate(scene(0.9, 0.0), start([0.3, 0.2, 0.5]), [0.4, -0.2, 0.0, 0.0, 0.0, 0.0], 1.6, 0.02)
+    times = [event.time for event in traj.events][:3]
+    checks.append(near("impacts [s]", _BOUNCES, times, 1e-10, "each impact multiplies the errors before"))
+    for what, friction, motion, known in (("slides", 0.0, _SLIDE, _SLID_TO), ("rolls", 2.0, _ROLL, _ROLLED_TO)):
+        traj = runs.simulate(scene(0.5, friction), start(_CENTER), motion, 1.0, 0.02, order=8)
+        checks.append(near(f"place where it {what} to [m]", known, traj.q[-1, :3], 1e-8, "order 8"))
+    return checks
+
+
 CASES = (
     Case("super-ball", "a ball that grips the ground, with tangential restitution", super_ball),
     Case("oblique-rod", "Routh's oblique impact of a rod, the slip turns back", oblique_rod),
     Case("pendulum-on-ground", "Kane and Levinson's double pendulum, three laws of restitution", pendulum_on_ground),
     Case("woodpecker", "Glocker's woodpecker toy with Newton's restitution: its limit cycle", woodpecker_toy),
     Case("speed-restitution", "restitution that falls with the closing speed", speed_restitution),
+    Case("ball-on-waves", "a ball on a surface that a function gives: bounces, slides, rolls", ball_on_waves),
 )

@@ -78,7 +78,8 @@ void expose_contact_enums(nb::module_& m) {
       .value("LIMIT", PointKind::kLimit)
       .value("EDGE", PointKind::kEdge)
       .value("END", PointKind::kEnd)
-      .value("RIM_LINE", PointKind::kRimLine);
+      .value("RIM_LINE", PointKind::kRimLine)
+      .value("SURFACE", PointKind::kSurface);
 }
 
 }  // namespace

@@ -1,14 +1,18 @@
 // Laws of contact of single pairs: added once, before any simulator is made.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cstdint>
+#include <functional>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <tuple>
 #include <utility>
@@ -19,6 +23,7 @@
 #include "bindings/expose.hpp"
 #include "bindings/user_functions.hpp"
 #include "impact/incremental_impact.hpp"
+#include "model/function_surface.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -79,6 +84,67 @@ void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, b
   s.laws.push_back(std::move(law));
 }
 
+using Number = nb::ndarray<const double, nb::numpy, nb::ndim<2>, nb::c_contig>;
+using OfPoints = nb::typed<nb::callable, nb::object(nb::object)>;
+using OfPoint = nb::typed<nb::callable, nb::object(Vec3)>;
+using GivenSurface = std::variant<Address, OfPoints>;
+
+// Rows of values at rows of coordinates, by a function of Python that takes and returns arrays.
+template <int kCoordinates, int kValues>
+std::function<void(const double*, int, double*)> rows_by(Scene& s, const OfPoints& function) {
+  return [call = keep(s, function)](const double* points, int count, double* values) {
+    guarded(call, false, [&] {
+      const std::size_t shape[2] = {static_cast<std::size_t>(count), kCoordinates};
+      nb::ndarray<nb::numpy, const double> given(points, 2, shape, nb::handle());
+      const auto result = nb::cast<Number>(call(given.cast(nb::rv_policy::copy)));
+      if (result.shape(0) != shape[0] || result.shape(1) != kValues) throw Error("a surface of another shape");
+      std::copy_n(result.data(), kValues * shape[0], values);
+      return true;
+    });
+  };
+}
+
+std::shared_ptr<const FunctionSurface> surface_of(Scene& s, const GivenSurface& given, bool is_height,
+                                                  const OfPoint& tell) {
+  const FunctionSurface::Lost lost = [call = keep(s, tell)](const Vec3& point) {
+    guarded(call, false, [&] {
+      call(point);
+      throw Error("nothing was raised");
+      return true;
+    });
+  };
+  if (const OfPoints* function = std::get_if<OfPoints>(&given)) {
+    if (is_height) return std::make_shared<HeightSurface>(rows_by<2, HeightSurface::kValues>(s, *function), lost);
+    return std::make_shared<DistanceSurface>(rows_by<3, DistanceSurface::kValues>(s, *function), lost);
+  }
+  const Address address = std::get<Address>(given);
+  if (is_height) {
+    auto* height = reinterpret_cast<void (*)(double, double, double*)>(address);  // NOLINT: the caller knows
+    return std::make_shared<HeightSurface>(
+        [height](const double* xy, int count, double* values) {
+          for (int i = 0; i < count; ++i) height(xy[2 * i], xy[2 * i + 1], values + HeightSurface::kValues * i);
+        },
+        lost);
+  }
+  auto* distance = reinterpret_cast<void (*)(double, double, double, double*)>(address);  // NOLINT: the same
+  return std::make_shared<DistanceSurface>(
+      [distance](const double* xyz, int count, double* values) {
+        for (int i = 0; i < count; ++i)
+          distance(xyz[3 * i], xyz[3 * i + 1], xyz[3 * i + 2], values + DistanceSurface::kValues * i);
+      },
+      lost);
+}
+
+void set_surface(Scene& s, int geometry, const GivenSurface& given, bool is_height, double reach, const OfPoint& tell) {
+  if (geometry < 0 || geometry >= static_cast<int>(s.geometries.size())) throw Error("there is no such geometry");
+  Geometry& g = s.geometries[static_cast<std::size_t>(geometry)];
+  if (!g.unbounded) throw Error("a surface stands in the place of a halfspace");
+  g.surface = surface_of(s, given, is_height, tell);
+  // No plane bounds it.
+  g.halfspace_offset = std::numeric_limits<double>::infinity();
+  g.reach = reach;
+}
+
 void set_surface_motion(Scene& s, int geometry, const Vec3& linear, const Vec3& angular,
                         const std::optional<Given>& profile) {
   if (geometry < 0 || geometry >= static_cast<int>(s.geometries.size())) throw Error("there is no such geometry");
@@ -99,6 +165,12 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
       "function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C "
       "function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis "
       "along which and across which friction has its shares.");
+  scene.def("set_surface", &set_surface, "geometry"_a, "function"_a, "is_height"_a, "reach"_a, "lost"_a,
+            "Makes a halfspace a surface given by a function (address of a C function of one point, or function of "
+            "arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, "
+            "d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; "
+            "lost: called with a point (3,) of which no nearest point "
+            "is known, raises.");
   scene.def(
       "set_surface_motion", &set_surface_motion, "geometry"_a, "linear"_a, "angular"_a, "profile"_a.none(),
       "Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by "

@@ -13,6 +13,7 @@
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
+#include "bindings/user_calls.hpp"
 #include "geometry/candidates.hpp"
 #include "geometry/distance_bounds.hpp"
 #include "geometry/guard.hpp"
@@ -35,6 +36,8 @@ struct Touch {
     place(scene.tree, q, at);
     guards.place(q);
     guards.evaluate(pair, witness);
+    scene.tree.elements.forget_failure();
+    UserErrors::raise();
   }
 
   void evaluate(const ContactPoint& p, Contact& contact) const {

@@ -218,6 +218,7 @@ auto gaps(const Scene& s, const VecX& q) {
     a.row(i) = c.point_a;
     b.row(i) = c.point_b;
   }
+  raise_user_errors(s);
   return std::make_tuple(gap, normal, a, b);
 }
 
@@ -235,6 +236,7 @@ Array2 gaps_along(const Scene& s, const Rows& q, const IntVec& pairs) {
       for (Eigen::Index i = 0; i < pairs.size(); ++i) gap(k, i) = guards.evaluate(static_cast<int>(pairs[i]), unused);
     }
   }
+  raise_user_errors(s);
   return hand_over(std::move(gap));
 }
 
@@ -251,6 +253,7 @@ Rows gap_gradients(const Scene& s, const VecX& q) {
     engine_to_public(s.tree, q, row);  // it is a covector, dual to v as a momentum is
     W.row(g) = row;
   }
+  raise_user_errors(s);
   return W;
 }
 

@@ -269,7 +269,7 @@ bool EventFinder::collect(int g) {
     fail(Search::kUnresolved, g, gap);
     return false;
   }
-  if (!memory_.touching[g] && gap > guards_->motion(g)) {
+  if (!memory_.touching[g] && (scene_->is_pair(g) ? guards_->reliable(g, gap) : gap) > guards_->motion(g)) {
     guards_->mark(g, gap);
     return true;
   }

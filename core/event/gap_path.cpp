@@ -31,6 +31,13 @@ double lowest(const GapPath::Point& a, const GapPath::Point& b) {
   return meet > 0.0 && meet < 1.0 ? a.gap + width * a.rate * meet : ends;
 }
 
+// Whether the gap is that of a surface given by a function, which may rise and fall anywhere.
+bool has_function(const Scene& scene, int guard) {
+  if (!scene.is_pair(guard)) return false;
+  const Pair& pair = scene.pairs[guard];
+  return scene.geometries[pair.a].surface || scene.geometries[pair.b].surface;
+}
+
 }  // namespace
 
 GapPath::GapPath(Guards& guards)
@@ -78,7 +85,7 @@ double GapPath::smooth_width(int guard) const {
 bool GapPath::plainly_clear(int guard, const Point& start, const Point& end) const {
   const double turn = guards_->turn(guard);
   const double unsure = 2.0 * guards_->doubt(guard) + turn * guards_->motion(guard);
-  return turn <= kTurn && lowest(start, end) > unsure;
+  return turn <= kTurn && lowest(start, end) > unsure && !has_function(guards_->scene(), guard);
 }
 
 GapPath::Course GapPath::first(int guard, const Point& from, const Point& to, Point& lo, Point& hi) {

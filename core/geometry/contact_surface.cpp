@@ -62,6 +62,28 @@ ContactSurface ContactSurface::rim(const Vec3& center, const Vec3& axis, double 
   return s;
 }
 
+ContactSurface ContactSurface::curved(const char* name, const Vec3& x, const Mat3& B) {
+  ContactSurface s = point(name, x, 0.0);
+  s.kind_ = Kind::kCurved;
+  s.turning_ = B;
+  return s;
+}
+
+namespace {
+
+// Eigenvalues of a symmetric map of the plane of e[0] and n x e[0]; e[0] becomes the direction of the first one.
+Eigen::Vector2d principal(const Mat3& map, const Vec3& n, Vec3& e) {
+  const Vec3 t[2] = {e, n.cross(e)};
+  Eigen::Matrix2d R;
+  for (int i = 0; i < 2; ++i)
+    for (int j = 0; j < 2; ++j) R(i, j) = t[i].dot(map * t[j]);
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(R);
+  e = eigen.eigenvectors()(0, 0) * t[0] + eigen.eigenvectors()(1, 0) * t[1];
+  return eigen.eigenvalues();
+}
+
+}  // namespace
+
 ContactSurface ContactSurface::ellipsoid(const Ellipsoid& ellipsoid, const Vec3& outward, double sweep) {
   ContactSurface s = point("ellipsoid", ellipsoid.center, sweep);
   s.kind_ = Kind::kEllipsoid;
@@ -91,15 +113,16 @@ Bend ContactSurface::bend(const Vec3& n) const {
       break;
     }
     case Kind::kEllipsoid: {
-      const Vec3 t[2] = {b.e[0], n.cross(b.e[0])};
-      const Mat3 bend = ellipsoid_.bend(n);
-      Eigen::Matrix2d R;
-      for (int i = 0; i < 2; ++i)
-        for (int j = 0; j < 2; ++j) R(i, j) = t[i].dot(bend * t[j]);
-      const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(R);
-      b.e[0] = eigen.eigenvectors()(0, 0) * t[0] + eigen.eigenvectors()(1, 0) * t[1];
-      b.radius[0] = eigen.eigenvalues()[0];
-      b.radius[1] = eigen.eigenvalues()[1];
+      const Eigen::Vector2d radii = principal(ellipsoid_.bend(n), n, b.e[0]);
+      b.radius[0] = radii[0];
+      b.radius[1] = radii[1];
+      break;
+    }
+    case Kind::kCurved: {
+      const Eigen::Vector2d curvatures = principal(turning_, n, b.e[0]);
+      b.flat[0] = b.flat[1] = true;
+      b.curvature[0] = curvatures[0];
+      b.curvature[1] = curvatures[1];
       break;
     }
   }
@@ -128,6 +151,8 @@ void ContactSurface::move(const Vec3& s, const Vec3& outward) {
     }
     case Kind::kEllipsoid:
       x_ = ellipsoid_.point(outward);
+      break;
+    case Kind::kCurved:  // its foot is found where it is taken
       break;
   }
 }

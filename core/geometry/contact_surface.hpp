@@ -9,6 +9,7 @@
 //   face       infinite, infinite
 //   rim        radius of the rim / sine of the angle from its axis to n along the rim, 0 in the plane of n and the axis
 //   ellipsoid  see ellipsoid.hpp
+//   function   1 / the curvature of the surface; there the turn follows from the slide, as it may be flat
 //
 // Sweeping by a sphere of radius r adds r dn. The side of a cylinder is its axis swept by its radius, a ball is a
 // vertex swept by its radius.
@@ -24,6 +25,8 @@ struct Bend {
   Vec3 e[2];
   double radius[2];
   bool flat[2];
+  // Where flat[i]: the turn along e[i] is this times the slide [1/m], on a surface that a function gives.
+  double curvature[2] = {0.0, 0.0};
 };
 
 class ContactSurface {
@@ -34,6 +37,8 @@ class ContactSurface {
   // n: unit, outward.
   static ContactSurface plane(const char* name, const Vec3& x, const Vec3& n, double sweep);
   static ContactSurface rim(const Vec3& center, const Vec3& axis, double radius, const Vec3& outward, double sweep);
+  // Of a surface that a function gives, which turns by B dx along dx (FunctionSurface::bend), world frame.
+  static ContactSurface curved(const char* name, const Vec3& x, const Mat3& B);
   static ContactSurface ellipsoid(const Ellipsoid& ellipsoid, const Vec3& outward, double sweep);
 
   // Of a shape, at the point x of its core with the normal `outward`, both in the world. Returns null, or
@@ -62,7 +67,7 @@ class ContactSurface {
   void move(const Vec3& s, const Vec3& outward);
 
  private:
-  enum class Kind : std::uint8_t { kPoint, kLine, kPlane, kRim, kEllipsoid };
+  enum class Kind : std::uint8_t { kPoint, kLine, kPlane, kRim, kEllipsoid, kCurved };
 
   static const char* find_on_polytope(const ShapeFeatures& shape, const Pose& pose, const Vec3& x, const Vec3& m,
                                       bool nearby, ContactSurface& found);
@@ -75,6 +80,7 @@ class ContactSurface {
   double sweep_ = 0.0, radius_ = 0.0;
   Vec3 x_{}, axis_{}, center_{};  // axis_: direction of the line, normal of the plane, axis of the rim
   Ellipsoid ellipsoid_{};
+  Mat3 turning_{};
 };
 
 }  // namespace contactvi

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "geometry/nearest_features.hpp"
+#include "model/function_surface.hpp"
 
 namespace contactvi {
 
@@ -61,6 +62,17 @@ bool ContactTangent::take_point(const ContactPoint& p) {
                                                                      p.rim_radius, outward(side), p.radius);
     return set_system();
   }
+  if (p.kind == PointKind::kSurface) {
+    const Pair& pair = scene_->pairs[p.guard];
+    const Geometry& g = scene_->geometries[side == 1 ? pair.a : pair.b];
+    const Mat3 R = other.R * g.R_BG;
+    const Vec3 center = own.point(p.center_B);
+    const Mat3 B = g.surface->bend(R.transpose() * (center - other.point(g.p_BG)));
+    if (!B.allFinite()) return refuse("the curvature of a surface given by a function is not known");
+    surface_[1 - side] = ContactSurface::curved("surface given by a function", across, R * B * R.transpose());
+    surface_[side] = ContactSurface::point("vertex", center, p.radius);
+    return set_system();
+  }
   surface_[1 - side] = ContactSurface::plane("face", across, other.R * p.normal_B, 0.0);
   if (p.kind == PointKind::kVertex) {
     surface_[side] = ContactSurface::point("vertex", own.point(p.center_B), p.radius);
@@ -77,6 +89,7 @@ bool ContactTangent::take_witness(int guard) {
   const Placements& at = twists_.placements();
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   const Pose pose[2] = {pose_of(a.body, at), pose_of(b.body, at)};
+  if (a.surface || b.surface) return refuse("the nearest vertex over a surface given by a function is not known");
   // Over a halfspace the nearest point is known in closed form.
   const bool exact = a.unbounded || b.unbounded ||
                      refine_nearest(shape_features_of(a, pair.rounded), pose[0], shape_features_of(b, pair.rounded),
@@ -165,7 +178,7 @@ bool ContactTangent::set_system() {
       for (int j = 0; j < 2; ++j) {
         const double along = b.e[i].dot(tangent_[j]);
         A(row, j) = b.flat[i] ? along : -sign * weight * radius * along;
-        A(row, 2 + 2 * side + j) = b.flat[i] ? 0.0 : weight * along;
+        A(row, 2 + 2 * side + j) = b.flat[i] ? -sign * b.curvature[i] * scale_ * along : weight * along;
       }
     }
   }

@@ -243,7 +243,14 @@ double Guards::distance_bound(int guard, double enough) {
   }
   if (distance >= enough) return distance;
   Contact contact;
-  return std::max(distance, evaluate_witness(guard, contact));
+  return std::max(distance, reliable(guard, evaluate_witness(guard, contact)));
+}
+
+double Guards::reliable(int guard, double gap) const {
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  const FunctionSurface* surface = a.surface ? a.surface.get() : b.surface.get();
+  return surface != nullptr ? surface->reliable_share() * gap : gap;
 }
 
 double Guards::gap(int guard) {
@@ -450,7 +457,7 @@ void Guards::mark(int guard, double gap_at_end) {
   // Against a halfspace all of them are looked at.
   const bool all = scene_->geometries[pair.a].unbounded || scene_->geometries[pair.b].unbounded;
   if (is_persistent(guard) && !all) return;
-  marks_[guard] = both(odometer_, guard) + motion(guard) + gap_at_end;
+  marks_[guard] = both(odometer_, guard) + motion(guard) + reliable(guard, gap_at_end);
 }
 
 // Before an odometer changes, or what a span expects.

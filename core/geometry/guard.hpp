@@ -73,6 +73,8 @@ class Guards {
   // A lower bound on the distance of a pair where the bodies are placed: `enough` or more, or not much less than the
   // distance.
   double distance_bound(int guard, double enough);
+  // Of the gap of a pair, how much bounds the motion until it closes.
+  double reliable(int guard, double gap) const;
   const Placements& placements() {
     place_bodies();
     return placements_;

@@ -303,6 +303,50 @@ bool Manifolds::is_single(int pair) const {
   return is_empty(a) || is_empty(b) || (is_point(a) && !b.is_unbounded()) || (is_point(b) && !a.is_unbounded());
 }
 
+const Geometry* Manifolds::surface_of(int pair) const {
+  const Pair& p = scene_->pairs[pair];
+  const Geometry &a = scene_->geometries[p.a], &b = scene_->geometries[p.b];
+  return a.surface ? &a : b.surface ? &b : nullptr;
+}
+
+namespace {
+
+Pose pose_of_surface(const Geometry& g, const Placements& at) {
+  const Pose body = pose_of(g.body, at);
+  return {body.R * g.R_BG, body.point(g.p_BG)};
+}
+
+}  // namespace
+
+// All vertices of the other shape. A gap that is no number is listed whatever the limit is.
+void Manifolds::list_on_surface(int pair, const PairView& v, CandidateSink& sink) {
+  const Geometry& g = *surface_of(pair);
+  const bool on_b = &g == &scene_->geometries[scene_->pairs[pair].a];
+  const ShapeFeatures& o = on_b ? *v.b : *v.a;
+  const Pose &own = on_b ? v.pose_b : v.pose_a, &body = on_b ? v.pose_a : v.pose_b;
+  const Pose surface{body.R * g.R_BG, body.point(g.p_BG)};
+  over_surface_.clear();
+  for (const Vec3& x : o.vertices) over_surface_.push_back(surface.into(own.point(x)));
+  const int count = static_cast<int>(over_surface_.size());
+  feet_.resize(over_surface_.size());
+  g.surface->nearest(over_surface_.data(), count, o.radius, feet_.data());
+  for (int i = 0; i < count; ++i) {
+    const double gap = feet_[i].distance - o.radius;
+    if (gap > sink.limit) continue;
+    const Vec3 x = over_surface_[i] - o.radius * feet_[i].normal;
+    sink.add({feature_number(on_b ? Feature::kVertexB : Feature::kVertexA, i, 0), gap, surface.point(x)});
+  }
+}
+
+void Manifolds::surface_gap(const ContactPoint& p, const Placements& at, Contact& contact) const {
+  const Geometry& g = *surface_of(p.guard);
+  const Pose surface = pose_of_surface(g, at);
+  const Vec3 c = point_W(at, p.point_body, p.center_B), x = surface.into(c);
+  SurfaceFoot foot{};
+  g.surface->nearest(&x, 1, p.radius, &foot);
+  set_contact(p, surface.R * foot.normal, c, foot.distance - p.radius, contact);
+}
+
 double Manifolds::noise(int pair) const {
   const Pair& p = scene_->pairs[pair];
   const ShapeFeatures &a = features(pair, p.a), &b = features(pair, p.b);
@@ -338,10 +382,14 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
   const Candidate nearest{0, witness.gap, 0.5 * (witness.point_a + witness.point_b)};
   Vec3 n = witness.normal;
   if (!is_single(pair)) {
-    const Sides sides = sides_of_witness(v, witness);
-    n = sides.n_W;
     Collect sink(margin, found_);
-    list_candidates(v, sides, false, edges_, sink);
+    if (surface_of(pair) != nullptr) {
+      list_on_surface(pair, v, sink);
+    } else {
+      const Sides sides = sides_of_witness(v, witness);
+      n = sides.n_W;
+      list_candidates(v, sides, false, edges_, sink);
+    }
     // A feature along whose normal the shapes overlap much more lies to the side: they part along the witness's.
     const double deepest = kOverlap * std::min(0.0, witness.gap) - kSameOverlap;
     found_.erase(std::remove_if(found_.begin(), found_.end(), [&](const Candidate& c) { return c.gap < deepest; }),
@@ -380,6 +428,7 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
                            const Contact* witness, double enough, Contact& contact) {
   if (is_single(pair)) return kInfinity;
   const PairView v = view(pair, at);
+  if (surface_of(pair) != nullptr) return next_gap_on_surface(pair, at, v, persistent, count, enough, contact);
   const ContactPoint* known = nullptr;
   for (int i = 0; i < count && known == nullptr; ++i)
     if (persistent[i]->feature != 0) known = persistent[i];
@@ -400,6 +449,21 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
   return include_witness(pair, at, persistent, count, *witness, value, contact);
 }
 
+double Manifolds::next_gap_on_surface(int pair, const Placements& at, const PairView& v,
+                                      const ContactPoint* const* persistent, int count, double enough,
+                                      Contact& contact) {
+  Least least(*this, at, persistent, count, enough);
+  list_on_surface(pair, v, least);
+  for (const SurfaceFoot& foot : feet_) {
+    if (std::isfinite(foot.distance)) continue;
+    contact.gap = foot.distance;
+    return foot.distance;
+  }
+  const double value = least.value();
+  if (value < kInfinity) evaluate(make_point(pair, v, least.best, Vec3::Zero()), at, contact);
+  return value;
+}
+
 double Manifolds::deepest(const ContactPoint* const* points, int count, const Placements& at) const {
   double least = 0.0;
   for (int i = 0; i < count; ++i) {
@@ -413,6 +477,7 @@ double Manifolds::deepest(const ContactPoint* const* points, int count, const Pl
 
 bool Manifolds::none_deeper(int pair, const Placements& at, const ContactPoint* const* persistent, int count) const {
   if (count == 0 || is_single(pair)) return false;
+  if (surface_of(pair) != nullptr) return true;  // all of its vertices are looked at
   const double least = deepest(persistent, count, at);
   if (least == kInfinity) return false;
   const PairView v = view(pair, at);
@@ -538,6 +603,11 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
   } else {
     p.center_B = parts.other->vertices[parts.i];
   }
+  if (surface_of(pair) == nullptr) return p;
+  p.kind = PointKind::kSurface;
+  p.material = false;
+  p.normal_B.setZero();
+  p.offset = 0.0;
   return p;
 }
 
@@ -555,6 +625,8 @@ void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contac
     end_gap(point, at, contact);
   } else if (point.kind == PointKind::kRimLine) {
     rim_line_gap(point, at, contact);
+  } else if (point.kind == PointKind::kSurface) {
+    surface_gap(point, at, contact);
   } else {
     edge_gap(point, at, contact);
   }

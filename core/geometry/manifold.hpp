@@ -20,6 +20,9 @@
 // (3) Lines that lie along each other, edges or axes swept by a radius, touch at both ends of the segment that they
 //     have in common, ends of lines (kEnd) or rims (kRimLine); so do they in all pairs of polytopes, cylinders and
 //     capsules (line_contact.hpp).
+// A surface that a function gives (model/function_surface.hpp) stands in the place of a halfspace: vertices, the ends
+// of a capsule and the centre of a ball, each against its own foot on the surface (kSurface).
+//
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
 //     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two
 //     capsules.
@@ -34,10 +37,11 @@
 #include "geometry/candidates.hpp"
 #include "geometry/contact.hpp"
 #include "geometry/point_selection.hpp"
+#include "model/function_surface.hpp"
 
 namespace contactvi {
 
-enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge, kEnd, kRimLine };
+enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge, kEnd, kRimLine, kSurface };
 
 struct ContactPoint {
   int guard;
@@ -62,6 +66,7 @@ struct ContactPoint {
   // normal_B, swept by `offset`. Directed so that normal_B x axis_B points from a to b; on_b is true.
   // kEnd: the point center_B of point_body, swept by `radius`, against the line of plane_body through origin_B along
   // normal_B, swept by `offset`. kRimLine: the circle of kRim against such a line, where they are nearest near far_B.
+  // kSurface: the point center_B, swept by `radius`, against a surface that a function gives.
   Vec3 origin_B;
 };
 
@@ -145,10 +150,16 @@ class Manifolds {
  private:
   // Least gap of points with features of their own, at most 0; infinite with another point among them.
   double deepest(const ContactPoint* const* points, int count, const Placements& at) const;
+  double next_gap_on_surface(int pair, const Placements& at, const PairView& v, const ContactPoint* const* persistent,
+                             int count, double enough, Contact& contact);
   double include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                          const Contact& witness, double value, Contact& contact) const;
   const ShapeFeatures& features(int pair, int geometry) const;
   bool is_single(int pair) const;
+  // The geometry of a pair that is a surface given by a function, null: none.
+  const Geometry* surface_of(int pair) const;
+  void list_on_surface(int pair, const PairView& v, CandidateSink& sink);
+  void surface_gap(const ContactPoint& p, const Placements& at, Contact& contact) const;
   class Least;
   bool take_out(std::vector<std::int64_t>& features);
   PairView view(int pair, const Placements& at) const;
@@ -166,6 +177,8 @@ class Manifolds {
   std::vector<Candidate> found_;
   Selection selection_;
   EdgeLists edges_;
+  std::vector<Vec3> over_surface_;
+  std::vector<SurfaceFoot> feet_;
 };
 
 // See Manifolds::next_gap [m].

@@ -19,6 +19,7 @@ namespace contactvi {
 
 struct PublicModel;
 struct ShapeFeatures;
+class FunctionSurface;
 class PairTable;
 class RoundedHulls;
 
@@ -30,7 +31,7 @@ struct Geometry {
   // The same size, with edges of radius rounding [m]; null if not needed.
   std::shared_ptr<const coal::CollisionGeometry> rounded;
   double rounding;
-  bool unbounded;         // a halfspace, with the normal and offset that follow
+  bool unbounded;         // a halfspace, with the normal and offset that follow, or a surface given by a function
   Vec3 halfspace_normal;  // geometry frame
   double halfspace_offset;
   Vec3 center_B;  // bounding sphere, body frame
@@ -43,6 +44,8 @@ struct Geometry {
   // Features of the sharp and of the rounded shape, shared by all that simulate the scene and made when a pair first
   // comes near enough to need them; null where no pair ever does.
   std::shared_ptr<const OnDemand<ShapeFeatures>> sharp_features, rounded_features;
+  // In the geometry's frame, in the place of a halfspace; null: none.
+  std::shared_ptr<const FunctionSurface> surface;
 };
 
 struct Pair {

@@ -1,0 +1,381 @@
+"""Surfaces given by functions: heights z = f(x, y) and signed distances d(x, y, z), as a scene keeps them.
+
+The engine asks for the values at several points at once. What is not given is found by differences of fourth order:
+with steps of H [m] the gradient of a height is then true to about 1e-12 where the surface bends over decimetres and
+more. The gap itself has no error of these differences, because it is the distance to the nearest point, where the error
+of that point counts in second order; the normal has it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contactvi.elements.user_functions import called, checked
+from contactvi.errors import InputError, SceneError, UserFunctionError
+from contactvi.importing.part import Part
+from contactvi.importing.pictures import Picture, Surface
+from contactvi.inputs import array, short
+
+Array = NDArray[np.float64]
+H = 3e-4  # [m] step of differences of values
+H_GRADIENT = 1e-5  # [m] of gradients
+CELLS = 60  # of a drawn height along each axis
+CELLS_OF_SOLID = 40  # and of a distance
+_SAMPLES = 5  # along each axis, at which functions are tried when they are given
+_UNIT = 1e-6  # by how much the gradient of a distance may differ from a unit vector, as in the engine
+_AGREE = 1e-5  # of 1 + the gradient: what a given gradient and differences may differ by
+TOUCHING = (coal.Sphere, coal.Capsule, coal.Box, coal.Convex)
+_VALUES = {"height": 6, "distance": 4}
+_TWO = (np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]))
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionSurface:
+    """A surface in the frame of its geometry.
+
+    Attributes:
+        kind: "height" or "distance".
+        function: of points (n, 2) or (n, 3) [m], returns (n,) [m]; or compiled, with an `address`; None: a stored scene
+            has lost it.
+        gradient, hessian: of points, return (n, 2) and (n, 2, 2), or (n, 3); None: by differences.
+        extent: what is drawn [m], low and high along each axis, shape (2, 2) or (3, 2).
+        drawn: the grid that is drawn, of a stored scene.
+    """
+
+    kind: str
+    function: Callable[..., Any] | None
+    gradient: Callable[..., Any] | None
+    hessian: Callable[..., Any] | None
+    extent: Array
+    drawn: Surface | None = None
+
+    @property
+    def address(self) -> int | None:
+        """The address of a compiled function."""
+        address = getattr(self.function, "address", None)
+        return address if isinstance(address, int) else None
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of a point of the drawn part from the origin [m]."""
+        return float(np.linalg.norm(np.abs(self.extent).max(axis=1)))
+
+    def engine(self, name: str) -> Any:
+        """Return it as the engine takes it; `name` of the surface is for the messages of what goes wrong in it."""
+        if self.function is None:
+            raise SceneError(
+                f"The surface {name!r} has no function", body=name, expected="the function that gave it",
+                got="a stored scene, which cannot hold functions",
+                remedy=f"Give it again: scene.set_surface({name!r}, {self.kind}=...)",
+            )  # fmt: skip
+        return self.address if self.address is not None else lambda points: self.values(name, points)
+
+    def values(self, name: str, points: Array) -> Array:
+        """Return rows f, f_x, f_y, f_xx, f_xy, f_yy (n, 6) of a height, d, d_x, d_y, d_z (n, 4) of a distance.
+
+        Raises:
+            UserFunctionError: the function raised, or returned something else than finite numbers of the right shape.
+        """
+        if self.address is not None:
+            return _compiled_values(self.address, self.kind, points)
+        what = f"the {self.kind} of the surface {name!r}"
+        return self._height(what, points) if self.kind == "height" else self._distance(what, points)
+
+    def _asked(self, function: Callable[..., Any], what: str, points: Array, *shape: int) -> Array:
+        value = called(function, what, None, points)
+        return checked(value, what, None, (len(points), *shape), "numbers for each point")
+
+    def _height(self, what: str, points: Array) -> Array:
+        assert self.function is not None
+        n = len(points)
+        rows = np.empty((n, 6))
+        if self.gradient is None:
+            return self._height_by_differences(what, points, rows)
+        rows[:, 0] = self._asked(self.function, what, points)
+        if self.hessian is not None:
+            rows[:, 1:3] = self._asked(self.gradient, f"the gradient of {what}", points, 2)
+            hessian = self._asked(self.hessian, f"the Hessian of {what}", points, 2, 2)
+            rows[:, 3:] = hessian[:, [0, 0, 1], [0, 1, 1]]
+            return rows
+        places = np.concatenate([points, *(points + s * H_GRADIENT * e for e in _TWO[0] for s in (1.0, -1.0))])
+        found = self._asked(self.gradient, f"the gradient of {what}", places, 2).reshape(5, n, 2)
+        rows[:, 1:3] = found[0]
+        along_x, along_y = ((found[k] - found[k + 1]) / (2.0 * H_GRADIENT) for k in (1, 3))
+        rows[:, 3], rows[:, 5] = along_x[:, 0], along_y[:, 1]
+        rows[:, 4] = 0.5 * (along_x[:, 1] + along_y[:, 0])
+        return rows
+
+    def _height_by_differences(self, what: str, points: Array, rows: Array) -> Array:
+        assert self.function is not None
+        axes, diagonals = _TWO
+        steps = [k * e for e in axes for k in (-2.0, -1.0, 1.0, 2.0)]
+        places = np.concatenate([points, *(points + H * step for step in (*steps, *diagonals))])
+        f = self._asked(self.function, what, places).reshape(13, len(points))
+        rows[:, 0] = f[0]
+        for axis in (0, 1):
+            a, b, c, d = f[1 + 4 * axis : 5 + 4 * axis]
+            rows[:, 1 + axis] = (a - 8.0 * b + 8.0 * c - d) / (12.0 * H)
+            rows[:, 3 + 2 * axis] = (-a + 16.0 * b - 30.0 * f[0] + 16.0 * c - d) / (12.0 * H * H)
+        rows[:, 4] = (f[9] - f[10] - f[11] + f[12]) / (4.0 * H * H)
+        return rows
+
+    def _distance(self, what: str, points: Array) -> Array:
+        assert self.function is not None
+        n = len(points)
+        rows = np.empty((n, 4))
+        if self.gradient is not None:
+            rows[:, 0] = self._asked(self.function, what, points)
+            rows[:, 1:] = self._asked(self.gradient, f"the gradient of {what}", points, 3)
+            return rows
+        places = np.concatenate([points, *(points + H * k * e for e in np.eye(3) for k in (-2.0, -1.0, 1.0, 2.0))])
+        d = self._asked(self.function, what, places).reshape(13, n)
+        rows[:, 0] = d[0]
+        for axis in range(3):
+            a, b, c, e = d[1 + 4 * axis : 5 + 4 * axis]
+            rows[:, 1 + axis] = (a - 8.0 * b + 8.0 * c - e) / (12.0 * H)
+        return rows
+
+    def lost(self, name: str, point: Array) -> None:
+        """Raise the UserFunctionError of a point (3,) [m] of which no nearest point is known."""
+        rows = self.values(name, point[None, : len(self.extent)])[0]
+        length = float(np.linalg.norm(rows[1:]))
+        wanted = "two continuous derivatives, and hollows that are wider than a ball in them"
+        got = "no nearest point, or two that the ball touches"
+        if not np.isfinite(rows).all():
+            wanted, got = "finite numbers", f"values {short(rows.tolist())}"
+        elif self.kind == "distance" and abs(length - 1.0) > _UNIT:
+            wanted, got = "a true distance, with a gradient of length 1", f"length {length:.9g}"
+        what = f"the {self.kind} of the surface {name!r}"
+        raise UserFunctionError(
+            f"{what} gives no gap at the point {short(np.round(point, 9).tolist())}", function=what, expected=wanted,
+            got=got, remedy="Correct the function; it has to be defined wherever bodies may come",
+        )  # fmt: skip
+
+    def grid(self, name: str) -> Surface:
+        """Return what is drawn: vertices and triangles."""
+        if self.drawn is not None:
+            return self.drawn
+        if self.kind == "height":
+            return _sheet(self.extent, lambda points: self.values(name, points)[:, 0])
+        return surface_net(self.extent, CELLS_OF_SOLID, lambda points: self.values(name, points)[:, 0])
+
+    def check(self, name: str) -> None:
+        """Try the functions within the extent.
+
+        Raises:
+            UserFunctionError: see `values`.
+            InputError: a given gradient is not that of the function; a distance whose gradient is no unit vector.
+        """
+        axes = [np.linspace(low, high, _SAMPLES + 2)[1:-1] + 0.01 * (high - low) / np.pi for low, high in self.extent]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(self.extent))
+        rows = self.values(name, points)
+        if not np.isfinite(rows).all():
+            raise InputError(
+                f"The {self.kind} of the surface {name!r} is not finite", name=self.kind,
+                expected="finite numbers within the extent", got=f"{short(rows[~np.isfinite(rows).all(axis=1)][0])}",
+                remedy="Correct the function, or make the extent smaller",
+            )  # fmt: skip
+        if self.gradient is not None:
+            self._check_gradient(name, points, rows)
+        if self.kind == "distance":
+            self._check_unit(name, points)
+
+    def _check_gradient(self, name: str, points: Array, rows: Array) -> None:
+        plain = FunctionSurface(self.kind, self.function, None, None, self.extent)
+        size = points.shape[1]
+        given, found = rows[:, 1 : 1 + size], plain.values(name, points)[:, 1 : 1 + size]
+        off = np.abs(given - found).max(axis=1) / (1.0 + np.abs(found).max(axis=1))
+        # A distance has kinks, on which differences say nothing: most of the points decide.
+        if np.median(off) > _AGREE:
+            k = int(np.argsort(off)[len(off) // 2])
+            raise InputError(
+                f"The gradient of the surface {name!r} is not that of its {self.kind}", name="gradient",
+                expected=f"{short(found[k].tolist())} at {short(points[k].tolist())}, by differences",
+                got=short(given[k].tolist()), remedy="Correct it, or leave it out: it is then found by differences",
+            )  # fmt: skip
+
+    def _check_unit(self, name: str, points: Array) -> None:
+        """Look at the gradient on the surface, where the samples are nearest to it."""
+        for _ in range(3):  # A true distance is there after one step.
+            rows = self.values(name, points)
+            points = points - rows[:, :1] * rows[:, 1:] / np.maximum((rows[:, 1:] ** 2).sum(axis=1, keepdims=True), 0.1)
+        rows = self.values(name, points)
+        lengths = np.linalg.norm(rows[:, 1:], axis=1)[np.abs(rows[:, 0]) < 1e-3]
+        if len(lengths) and np.median(np.abs(lengths - 1.0)) > _UNIT:
+            raise InputError(
+                f"The distance of the surface {name!r} is no distance", name="distance",
+                expected="a gradient of length 1 at the surface: the distance from the nearest point, negative inside",
+                got=f"length {np.median(lengths):.6g}",
+                remedy="Give a true distance; a height z = f(x, y) is taken as height=f, and its distance is computed",
+            )  # fmt: skip
+
+
+def function_surface(height: Any, distance: Any, gradient: Any, hessian: Any, extent: Any) -> FunctionSurface:
+    """Return a surface of checked arguments; see `Scene.add_surface`. Raises InputError."""
+    if (height is None) == (distance is None):
+        raise InputError(
+            "A surface needs one function", name="height", expected="height=... or distance=...",
+            got="both" if height is not None else "none", remedy="For example height=lambda p: 0.1 * p[:, 0] ** 2",
+        )  # fmt: skip
+    kind, function = ("height", height) if height is not None else ("distance", distance)
+    compiled = isinstance(getattr(function, "address", None), int)
+    for what, given in ((kind, function), ("gradient", gradient), ("hessian", hessian)):
+        if given is not None and not callable(given) and not (what == kind and compiled):
+            raise InputError(
+                f"The {what} of a surface is no function", name=what, expected="a function of points (n, "
+                f"{2 if kind == 'height' else 3}), or an object with the address of a C function",
+                got=short(given), remedy="For example height=lambda p: 0.1 * p[:, 0] ** 2",
+            )  # fmt: skip
+    if compiled and (gradient is not None or hessian is not None):
+        raise InputError(
+            "A compiled surface fills its derivatives itself", name="gradient",
+            expected="None with a compiled function", got="a function", remedy="Leave gradient and hessian out",
+        )  # fmt: skip
+    if hessian is not None and (kind == "distance" or gradient is None):
+        raise InputError(
+            "The Hessian of a surface", name="hessian", expected="None for a distance and without a gradient",
+            got="a function", remedy="Leave it out, or give the gradient of the height too",
+        )  # fmt: skip
+    axes = 2 if kind == "height" else 3
+    default = np.array([(-1.0, 1.0)] * axes)
+    box = default if extent is None else array("extent", extent, (axes, 2), "low and high [m] along each axis")
+    if np.any(box[:, 0] >= box[:, 1]):
+        raise InputError(
+            "The extent of a surface is empty", name="extent", expected="low < high along each axis",
+            got=short(box.tolist()), remedy="For example extent=[(-1, 1), (-1, 1)]",
+        )  # fmt: skip
+    return FunctionSurface(kind, function, gradient, hessian, box)
+
+
+def refuse_untouchable(
+    pairs: NDArray[np.int32], compliant: NDArray[np.int32], objects: list[pin.GeometryObject], surfaces: set[str]
+) -> None:
+    """Raise SceneError where a surface has a pair with a shape without vertices and ends, or a compliant one."""
+    if not surfaces:
+        return
+    for a, b in compliant.tolist():
+        names = objects[a].name, objects[b].name
+        if surfaces & set(names):
+            raise SceneError(
+                f"The contact of {names[0]!r} and {names[1]!r} is compliant", body=names[0],
+                expected="rigid contact with a surface given by a function", got="a compliant pair",
+                remedy=f"scene.set_compliance({names[0]!r}, {names[1]!r}, stiffness=None)",
+            )  # fmt: skip
+    for a, b in pairs.tolist():
+        names = objects[a].name, objects[b].name
+        for own, other in ((a, b), (b, a)):
+            if objects[own].name not in surfaces or isinstance(objects[other].geometry, TOUCHING):
+                continue
+            kind = "Surface given by a function" if objects[other].name in surfaces else None
+            raise SceneError(
+                f"The surface {objects[own].name!r} and {objects[other].name!r} have no contact",
+                body=objects[other].name,
+                expected="a ball, capsule, box or convex hull on a surface given by a function",
+                got=kind or type(objects[other].geometry).__name__,
+                remedy=f"scene.disable_pair({names[0]!r}, {names[1]!r}), or another shape: add_mesh takes hulls",
+            )  # fmt: skip
+
+
+def with_surface(part: Part, name: str, surface: FunctionSurface) -> Part:
+    """Return the part with a surface in the place of the halfspace `name`; the given one stays as it is."""
+    before = part.load_pictures
+
+    def load() -> list[Picture]:
+        return [
+            Picture(picture.geometry, surface.grid(name)) if picture.geometry.name == name else picture
+            for picture in before()
+        ]
+
+    return replace(part, surfaces={**part.surfaces, name: surface}, load_pictures=load)
+
+
+def surface_to_dict(name: str, surface: FunctionSurface) -> dict[str, Any]:
+    """Return what is stored of a surface: what it was, and the grid that is drawn."""
+    vertices, faces = surface.grid(name)
+    kind = {"type": "surface", "kind": surface.kind, "extent": surface.extent.tolist()}
+    return kind | {"vertices": np.asarray(vertices), "faces": np.asarray(faces)}
+
+
+def surface_from_dict(data: Mapping[str, Any]) -> FunctionSurface:
+    """Return the surface that `surface_to_dict` described, without its function."""
+    drawn = Surface(np.asarray(data["vertices"], dtype=np.float32), np.asarray(data["faces"], dtype=np.uint32))
+    extent = np.array(data["extent"], dtype=float)
+    return FunctionSurface(str(data["kind"]), None, None, None, extent, drawn)
+
+
+def missing_name(name: str) -> str:
+    """Return the name of the function of a surface in the list of what is missing."""
+    return f"surface of {name}"
+
+
+def _compiled_values(address: int, kind: str, points: Array) -> Array:
+    """Call a compiled function at each point, as the engine does."""
+    coordinates = 2 if kind == "height" else 3
+    function = ctypes.CFUNCTYPE(None, *[ctypes.c_double] * coordinates, ctypes.POINTER(ctypes.c_double))(address)
+    rows = np.full((len(points), _VALUES[kind]), np.nan)
+    for point, row in zip(points.tolist(), rows, strict=True):
+        function(*point, row.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+    return rows
+
+
+def _sheet(extent: Array, height: Callable[[Array], Array]) -> Surface:
+    x, y = (np.linspace(low, high, CELLS + 1) for low, high in extent)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    at = np.arange((CELLS + 1) ** 2).reshape(CELLS + 1, CELLS + 1)
+    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    vertices = np.column_stack([points, height(points)])
+    return Surface(vertices.astype(np.float32), faces.astype(np.uint32))
+
+
+def surface_net(extent: Array, cells: int, distance: Callable[[Array], Array]) -> Surface:
+    """Return the surface distance = 0 within the extent (3, 2): a vertex in each cell that it crosses.
+
+    The vertex is the mean of the crossings of the cell's edges; the four cells around an edge that is crossed have a
+    quadrilateral, seen anticlockwise from outside. Surface nets (Gibson, 1998).
+    """
+    axes = [np.linspace(low, high, cells + 1) for low, high in extent]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    d = distance(np.ascontiguousarray(grid.reshape(-1, 3))).reshape(grid.shape[:3])
+    inside = d < 0.0
+    shape = (cells,) * 3
+    total, count = np.zeros((*shape, 3)), np.zeros(shape)
+    quads = []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        low, high = (
+            tuple(part if k == axis else slice(None) for k in range(3)) for part in (slice(-1), slice(1, None))
+        )
+        crossed = np.argwhere(inside[low] != inside[high])
+        start = tuple(crossed.T)
+        weight = d[low][start] / (d[low][start] - d[high][start])
+        at = grid[low][start] + weight[:, None] * (grid[high][start] - grid[low][start])
+        around = []
+        for du, dv in ((0, 0), (-1, 0), (-1, -1), (0, -1)):
+            cell = crossed.copy()
+            cell[:, u] += du
+            cell[:, v] += dv
+            around.append(cell)
+            some = ((cell >= 0) & (cell < cells)).all(axis=1)
+            np.add.at(total, tuple(cell[some].T), at[some])
+            np.add.at(count, tuple(cell[some].T), 1.0)
+        whole = np.all([((cell >= 0) & (cell < cells)).all(axis=1) for cell in around], axis=0)
+        numbers = np.stack([np.ravel_multi_index(tuple(cell[whole].T), shape) for cell in around], axis=1)
+        leaves = inside[low][start][whole]  # the edge leads out of the solid
+        quads.append(np.where(leaves[:, None], numbers, numbers[:, ::-1]))
+    quad = np.concatenate(quads)
+    used = np.flatnonzero(count.ravel())
+    number = np.zeros(cells**3, dtype=np.int64)
+    number[used] = np.arange(len(used))
+    corners = number[quad]
+    vertices = total.reshape(-1, 3)[used] / count.ravel()[used][:, None]
+    faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+    return Surface(vertices.astype(np.float32), faces.astype(np.uint32))
