@@ -1,0 +1,125 @@
+"""Battery of laws of contact: bodies with laws drawn at random for each pair, on a ground that may move along itself.
+
+Whatever the laws are, friction and impacts take energy and give none. The energy that is left is that of the start less
+these losses, with what surfaces put in, and no body ends inside of another. Energies, works and gaps are those that a
+user measures.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import contactvi as cvi
+
+SEEDS, LONG = 24, 400
+ORDERS = (2, 4, 8)
+
+
+def friction(rng: np.random.Generator, body: str) -> dict[str, object]:
+    """Return arguments of set_contact for a law of friction of a pair (body, ground)."""
+    mu = float(rng.uniform(0.05, 0.8))
+    match rng.integers(6):
+        case 0:
+            return {"friction": mu}
+        case 1:
+            return {"friction": mu, "static_friction": mu * float(rng.uniform(1.0, 1.6))}
+        case 2:
+            low, scale = mu * float(rng.uniform(0.4, 1.0)), float(rng.uniform(0.05, 1.0))
+            return {"friction": lambda v: low + (mu - low) * math.exp(-v / scale), "static_friction": 1.2 * mu}
+        case 3:
+            return {"friction": [(0.0, mu), (0.5, 0.7 * mu), (2.0, 0.6 * mu)]}
+        case 4:
+            axis = [*rng.normal(size=2), 0.0]
+            return {"friction": (mu, float(rng.uniform(0.05, 0.8))), "friction_axis": axis}
+        case _:
+            return {"friction": mu, "adhesion": float(rng.uniform(1.0, 30.0))}
+
+
+def restitution(rng: np.random.Generator) -> dict[str, object]:
+    """Return arguments of set_contact for a law of restitution."""
+    e = float(rng.uniform(0.0, 0.9))
+    match rng.integers(5):
+        case 0:
+            return {"restitution": e, "restitution_law": "newton"}
+        case 1:
+            return {"restitution": e, "restitution_law": "energetic"}
+        case 2:
+            return {"restitution": e, "impact_process": "incremental"}
+        case 3:
+            return {"restitution": [(0.0, e), (3.0, 0.5 * e)], "tangential_restitution": float(rng.uniform(0.0, 1.0))}
+        case _:
+            return {"restitution": e}
+
+
+def drawn(seed: int) -> tuple[cvi.Scene, np.ndarray, np.ndarray, dict[str, object]]:
+    """Return a scene, its start and the options of its run."""
+    rng = np.random.default_rng(9000 + seed)
+    slope = float(rng.choice([0.0, 0.0, rng.uniform(0.0, 0.3)]))
+    scene = cvi.Scene(gravity=9.81 * np.array([math.sin(slope), 0.0, -math.cos(slope)]))
+    scene.add_halfspace(name="ground")
+    kinds = rng.choice(["ball", "box", "capsule"], size=rng.integers(1, 4))
+    q, v = [], []
+    for k, kind in enumerate(kinds):
+        name = f"{kind}_{k}"
+        if kind == "ball":
+            scene.add_sphere(name, 0.08)
+        elif kind == "box":
+            scene.add_box(name, (0.2, 0.15, 0.1))
+        else:
+            scene.add_capsule(name, 0.05, 0.15)
+        scene.set_contact("ground", name, **friction(rng, name), **restitution(rng))
+        flat = kind != "capsule" and bool(rng.integers(2))
+        turn = pin.Quaternion(*rng.normal(size=4)).normalized() if not flat else pin.Quaternion(1.0, 0.0, 0.0, 0.0)
+        q += [0.6 * k, 0.0, 0.3, *turn.coeffs()]
+        v += [*rng.normal(size=3), *(rng.normal(size=3) * (0.0 if flat else 3.0))]
+    scene.set_contact(friction=0.3, restitution=0.4)
+    if rng.integers(2):
+        profile = None if rng.integers(2) else (lambda t: math.cos(5.0 * t))
+        scene.set_surface_velocity("ground", [*rng.normal(size=2), 0.0], [0.0, 0.0, rng.normal()], profile=profile)
+    order = int(rng.choice(ORDERS))
+    return scene, np.array(q), np.array(v), {"duration": 1.0, "order": order, "dt": {2: 2e-3, 4: 5e-3, 8: 1e-2}[order]}
+
+
+def examine(seed: int) -> tuple[str, list[str]]:
+    """Return the status of a run and what is wrong with it."""
+    scene, q, v, options = drawn(seed)
+    traj = cvi.simulate(scene, q, v, throw=False, **options)
+    wrong = []
+    scale = 1.0 + float(np.max(np.abs(traj.kinetic_energy)))
+    lost = np.diff(traj.friction_loss)
+    if lost.size and lost.min() < -1e-9 * scale:
+        wrong.append(f"friction gives {-lost.min():.2g} J")
+    loss = np.array([event.loss for event in traj.events])
+    if loss.size and loss.min() < -1e-9 * scale:
+        wrong.append(f"an impact gives {-loss.min():.2g} J")
+    balance = traj.energy + traj.friction_loss + traj.impact_loss - traj.work.prescribed
+    off = float(np.max(np.abs(balance - balance[0])))
+    # Contact steps are of order 2, and so is the energy of what they hold.
+    allowed = 2e-2 if options["order"] == 2 or traj.stats.contact_steps or traj.stats.dense_steps else 1e-5
+    if off > allowed * scale:
+        wrong.append(f"the energies differ by {off:.2g} J")
+    _, pairs, gap = traj.gaps
+    if len(pairs) and np.nanmin(gap) < -2e-9:
+        wrong.append(f"overlap {np.nanmin(gap):.2g} m")
+    return str(traj.status.code), wrong
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_drawn_laws(seed: int) -> None:
+    """Losses are losses, energies balance and nothing overlaps."""
+    status, wrong = examine(seed)
+    assert not wrong, wrong
+    assert status in ("0", "StatusCode.SUCCESS", "SUCCESS"), status
+
+
+@pytest.mark.long
+def test_many_drawn_laws() -> None:
+    """The same for hundreds of scenes; the rate of runs that end by themselves is told."""
+    found = [examine(1000 + seed) for seed in range(LONG)]
+    failed = {1000 + seed: wrong for seed, (_, wrong) in enumerate(found) if wrong}
+    assert not failed, failed
+    assert sum(status in ("0", "StatusCode.SUCCESS", "SUCCESS") for status, _ in found) >= 0.98 * LONG
