@@ -41,6 +41,7 @@ class FileData:
         actuators: actuators of an MJCF, with the scene's names.
         contact: friction and restitution (None: the scene's) of a geometry (name,) or a pair (name, name), by the
             file's names.
+        turning: radii of friction against spinning and rolling [m], as `contact`.
         limit_restitution: restitution of the limits of joints, None: the scene's.
         configurations: q (nq,) and v (nv,) of the part by name: keyframes, reference poses.
     """
@@ -49,6 +50,7 @@ class FileData:
     springs: dict[str, tuple[float, Any]] = field(default_factory=dict)
     actuators: list[Actuator] = field(default_factory=list)
     contact: dict[tuple[str, ...], tuple[float, float | None]] = field(default_factory=dict)
+    turning: dict[tuple[str, ...], tuple[float, float]] = field(default_factory=dict)
     limit_restitution: float | None = None
     configurations: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 

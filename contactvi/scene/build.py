@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.element import Element
+from contactvi.errors import SceneError
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
 from contactvi.scene.compliance import compliance_rows
@@ -175,6 +176,15 @@ def build(
         if law.restitution_of_speed is not None:
             restitution = np.array(restitution)
             restitution[places] = law.restitution_of_speed.at(1.0)
+    friction = contact.friction.values(names, chosen)
+    for law, places in laws:
+        if law.turning and not friction[places].all():
+            a, b = tested_pairs[places[int(np.argmin(friction[places]))]]
+            raise SceneError(
+                f"The contact of {a!r} and {b!r} has friction against spinning or rolling, but none against slip",
+                expected="friction > 0", got="friction 0",
+                remedy=f"scene.set_contact({a!r}, {b!r}, friction=...), or spinning_radius=0, rolling_radius=0",
+            )  # fmt: skip
     return Built(
         model,
         collision,
@@ -184,7 +194,7 @@ def build(
         removed,
         overlaps,
         restitution,
-        contact.friction.values(names, chosen),
+        friction,
         np.array([rule.values(names, overlaps.numbers) for rule in (contact.restitution, contact.friction)]),
         laws,
         resolved,

@@ -118,6 +118,8 @@ class PairLaw:
         impact_process: "two-phase", or "incremental": an impact of one point is followed through its impulse.
         limit_energy: whether restitution is lowered where it would make energy.
         tangential_restitution: of the slip, where friction holds it, in [0, 1].
+        spinning_radius: [m] of the friction of a point against spinning about its normal; 0: none.
+        rolling_radius: [m] of that against rolling.
         restitution_of_speed: coefficient by the closing speed, instead of the pair's number.
     """
 
@@ -125,6 +127,8 @@ class PairLaw:
     impact_process: str = "two-phase"
     limit_energy: bool = True
     tangential_restitution: float = 0.0
+    spinning_radius: float = 0.0
+    rolling_radius: float = 0.0
     restitution_of_speed: SpeedLaw | None = None
 
     def engine(self, pair: tuple[str, str]) -> dict[str, Any]:
@@ -137,6 +141,8 @@ class PairLaw:
             "keeps_energy": self.limit_energy,
             "tangential": self.tangential_restitution,
             "e": None if e is None else e.engine(name),
+            "spinning": self.spinning_radius,
+            "rolling": self.rolling_radius,
         }
 
     def varies(self, kind: str) -> bool:
@@ -147,6 +153,30 @@ class PairLaw:
     def followed(self) -> bool:
         """Whether impacts of one point are followed through their impulse."""
         return self.impact_process == "incremental" or self.restitution_law == "energetic"
+
+    @property
+    def turning(self) -> bool:
+        """Whether there is friction against spinning or rolling."""
+        return self.spinning_radius > 0.0 or self.rolling_radius > 0.0
+
+    def check(self, a: str, b: str) -> None:
+        """Raise SceneError where the settings of the pair of a and b do not go together."""
+        if self.tangential_restitution > 0.0 and self.followed:
+            raise SceneError(
+                f"The impact of {a!r} and {b!r} is followed, and has no tangential restitution",
+                expected="impact_process='two-phase', restitution_law='poisson' or 'newton'",
+                got=f"{self.impact_process!r}, {self.restitution_law!r}",
+                remedy=f"scene.set_contact({a!r}, {b!r}, tangential_restitution=0), or the other process and law",
+            )
+        if self.turning and (self.followed or self.tangential_restitution > 0.0):
+            raise SceneError(
+                f"The contact of {a!r} and {b!r} has friction against spinning or rolling, with which this law of "
+                "restitution is not known",
+                expected="impact_process='two-phase', restitution_law='poisson' or 'newton', tangential_restitution=0",
+                got=self.words(),
+                remedy=f"scene.set_contact({a!r}, {b!r}, spinning_radius=0, rolling_radius=0), or the other process "
+                "and law",
+            )
 
     def words(self) -> str:
         """Return what is not the default as text."""
@@ -187,6 +217,8 @@ def checked_setting(name: str, value: Any) -> Any:
             return value
         case "limit_energy":
             return flag(name, value)
+        case "spinning_radius" | "rolling_radius":
+            return real(name, value, 0.0)
     return real(name, value, 0.0, 1.0)  # tangential_restitution
 
 
@@ -244,6 +276,10 @@ class LawRules:
         """Set a setting for all pairs, for geometries (`first`), or between `first` and `second`."""
         self.rules.setdefault(name, Rule(DEFAULTS[name], _Agreed(name))).set(first, second, value)
 
+    def set_from_file(self, name: str, names: Sequence[str], value: Any) -> None:
+        """Set the setting that a model's file gives a geometry (one name) or a pair (two)."""
+        self.rules.setdefault(name, Rule(DEFAULTS[name], _Agreed(name))).set_from_file(names, value)
+
     @property
     def vary_restitution(self) -> bool:
         """Whether some restitution depends on the speed."""
@@ -257,13 +293,7 @@ class LawRules:
         plain = PairLaw()
         for k, (a, b) in enumerate(names):
             law = PairLaw(**{name: rule.value(a, b) for name, rule in self.rules.items()})
-            if law.tangential_restitution > 0.0 and law.followed:
-                raise SceneError(
-                    f"The impact of {a!r} and {b!r} is followed, and has no tangential restitution",
-                    expected="impact_process='two-phase', restitution_law='poisson' or 'newton'",
-                    got=f"{law.impact_process!r}, {law.restitution_law!r}",
-                    remedy=f"scene.set_contact({a!r}, {b!r}, tangential_restitution=0), or the other process and law",
-                )
+            law.check(a, b)
             if law != plain:
                 found.setdefault(law, []).append(k)
         return list(found.items())

@@ -33,6 +33,9 @@ class ContactRules:
             self.friction.set_from_file(scene_names, friction)
             if restitution is not None:
                 self.restitution.set_from_file(scene_names, restitution)
+        for names, radii in part.data.turning.items():
+            for setting, radius in zip(("spinning_radius", "rolling_radius"), radii, strict=True):
+                self.laws.set_from_file(setting, [part.prefix + name for name in names], radius)
 
     def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
         """Switch off all pairs of one of `first` and one of `second`."""

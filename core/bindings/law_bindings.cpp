@@ -54,13 +54,15 @@ SpeedFunction speed_function(Scene& s, const std::optional<Given>& value) {
 }
 
 void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, bool incremental, bool keeps_energy,
-                     double tangential, const std::optional<Given>& e) {
+                     double tangential, const std::optional<Given>& e, double spinning, double rolling) {
   ContactLaw law;
   if (restitution < 0 || restitution > 2) throw Error("there is no such law of restitution");
   law.restitution = static_cast<RestitutionLaw>(restitution);
   law.incremental = incremental;
   law.keeps_energy = keeps_energy;
   law.tangential = tangential;
+  law.spinning = spinning;
+  law.rolling = rolling;
   law.e = speed_function(s, e);
   for (const int pair : pairs) {
     if (pair < 0 || pair >= static_cast<int>(s.pairs.size())) throw Error("there is no such pair");
@@ -76,10 +78,11 @@ void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, b
 void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
   scene.def(
       "set_contact_law", &set_contact_law, "pairs"_a, "restitution"_a, "incremental"_a, "keeps_energy"_a,
-      "tangential"_a, "e"_a.none(),
+      "tangential"_a, "e"_a.none(), "spinning"_a, "rolling"_a,
       "Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is "
       "followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e "
-      "as a function of the closing speed (table, address of a C function, function) or None.");
+      "as a function of the closing speed (table, address of a C function, function) or None; radii [m] of the "
+      "friction against spinning and rolling.");
   m.def(
       "follow_impact",
       [](const Mat3& G, const Vec3& w, double mu, double e, int law) {

@@ -75,6 +75,7 @@ void ContactStep::classify_joint_friction(double speed) {
 
 bool ContactStep::slip_ends(int i) const {
   const int n = static_cast<int>(contacts_.size());
+  if (i >= n + friction_rows_) return roll_ends(static_cast<std::size_t>(i - n - friction_rows_));
   if (i >= n) {
     const FrictionJointOutcome& out = friction_outcomes_[i - n];
     const FrictionJoint& joint = friction_joints_[i - n];
@@ -82,18 +83,23 @@ bool ContactStep::slip_ends(int i) const {
   }
   const PersistentContact& persistent = contacts_[i];
   const ContactOutcome& out = outcomes_[i];
-  const bool turns = out.slips && (out.turned || out.slip_W.dot(persistent.slip) < 0.0);
+  const bool turns = out.slips && (out.turned || out.slip_W.dot(persistent.slip) + out.spin * persistent.spin < 0.0);
   return persistent.mu > 0.0 && !persistent.sticks && out.active && (!out.slips || turns);
 }
 
 double ContactStep::slip_at_start(int i) const {
   const int n = static_cast<int>(contacts_.size());
-  return i < n ? contacts_[i].slip.norm() : std::abs(friction_joints_[i - n].speed);
+  if (i >= n + friction_rows_) return contacts_[i - n - friction_rows_].roll.norm();
+  return i < n ? std::hypot(contacts_[i].slip.norm(), contacts_[i].spin) : std::abs(friction_joints_[i - n].speed);
 }
 
 double ContactStep::slip_left(int i) const {
   constexpr double kTurned = -std::numeric_limits<double>::infinity();
   const int n = static_cast<int>(contacts_.size());
+  if (i >= n + friction_rows_) {
+    const ContactOutcome& out = outcomes_[i - n - friction_rows_];
+    return out.rolled && !out.roll_turned ? out.roll_reversed : kTurned;
+  }
   if (i >= n) {
     const FrictionJointOutcome& out = friction_outcomes_[i - n];
     return out.slipped && !out.turned ? out.reversed : kTurned;

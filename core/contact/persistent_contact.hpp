@@ -18,8 +18,16 @@ struct PersistentContact {
   Vec3 tangent;                 // t1; of a vertex in the plane's body frame, else in the world, turned with the normal
   Vec3 force = Vec3::Zero();    // (n, t1, t2) in the last step [N]: start values of the next one
   bool is_new = false;          // while an event is resolved: the contact was not closed before it
+  // Friction against spinning and rolling: radii [m]; 0: none.
+  double spinning = 0, rolling = 0;
+  double spin = 0;                    // at the node: radius times relative angular velocity about the normal [m/s],
+  Vec3 roll = Vec3::Zero();           // and about the tangents, world; both 0 without radii
+  Vec3 turning_force = Vec3::Zero();  // (spin, roll1, roll2) in the last step, over the radii [N]
 
-  int rows() const { return mu > 0.0 ? 3 : 1; }
+  int turning_rows() const { return (spinning > 0.0 ? 1 : 0) + (rolling > 0.0 ? 2 : 0); }
+  int rows() const { return mu > 0.0 ? 3 + turning_rows() : 1; }
+  int friction_rows() const { return spinning > 0.0 ? 3 : 2; }  // of the slip with the spin
+  int rolling_row() const { return 1 + friction_rows(); }
   // Whether it is a material point that sticks at a place, and not surfaces that roll on each other.
   bool keeps_place() const { return mu > 0.0 && sticks && point.material; }
   bool slides() const { return mu > 0.0 && !sticks; }  // with friction
@@ -47,6 +55,13 @@ struct ContactOutcome {
   // step that jumps with what the other contacts answer; infinite where it does not apply.
   double paradox = INFINITY;
   bool jumps = false;  // its impulse does not go to zero with the step
+  // Of spinning and rolling: impulses (spin, roll1, roll2) over the radii [N s], speeds at the end times the radii
+  // [m/s]. The spin counts as a third component of the slip.
+  Vec3 position_turning = Vec3::Zero(), velocity_turning = Vec3::Zero();
+  double spin = 0;
+  Vec3 roll_W = Vec3::Zero();
+  bool rolled = false, rolls = false, roll_turned = false;  // as slipped, slips, turned
+  double roll_reversed = 0;
 };
 
 }  // namespace contactvi

@@ -301,7 +301,10 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
     return;
   }
   place_pair(guard);
-  contact_rows(scene_->tree, placements_, contact, t1, W);
+  contact_rows(scene_->tree, placements_, contact, t1, W.leftCols(std::min<Eigen::Index>(3, W.cols())));
+  if (W.cols() <= 3) return;
+  const ContactLaw& law = *scene_->law(guard);
+  turning_rows(scene_->tree, placements_, contact, t1, law.spinning, law.rolling, W.rightCols(W.cols() - 3));
 }
 
 double Guards::depth_tolerance(int guard) const {

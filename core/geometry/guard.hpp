@@ -95,7 +95,8 @@ class Guards {
   void gradient(int guard, const Contact& contact, VecRef W) const;
   // The joints that a guard's gap depends on; one that moves both bodies of a pair may be named twice.
   void list_joints(int guard, std::vector<int>& joints) const;
-  // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
+  // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3), and where there are
+  // Scene::contact_rows columns also those of spinning and rolling.
   void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
   // How far from zero a gap may be and still count as touching [m; rad].
   static constexpr double kTouching = 1e-11;

@@ -67,6 +67,12 @@ struct Scene {
     return is_pair(guard) && pairs[guard].law >= 0 ? &laws[pairs[guard].law] : nullptr;
   }
   double friction(int guard) const { return is_pair(guard) ? pairs[guard].friction : 0.0; }
+  // Rows of a point: the normal one, with friction those of slip, spinning and rolling.
+  int contact_rows(int guard) const {
+    if (!(friction(guard) > 0.0)) return 1;
+    const ContactLaw* own = law(guard);
+    return own != nullptr ? 3 + own->turning_rows() : 3;
+  }
   double restitution(int guard) const {
     return is_pair(guard) ? pairs[guard].restitution : tree.limits[guard - pairs.size()].restitution;
   }

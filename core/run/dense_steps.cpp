@@ -33,7 +33,8 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
-  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact();
+  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact() &&
+         !has_turning_friction(*scene_);
 }
 
 // What locating events has cost so far [us].
