@@ -392,6 +392,11 @@ class Scene:
         Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e as a function of the closing speed (table, address of a C function, function) or None; radii [m] of the friction against spinning and rolling.
         """
 
+    def set_surface_motion(self, geometry: int, linear: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], angular: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], profile: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:
+        """
+        Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by the time (table, address of a C function, function) or None.
+        """
+
 def follow_impact(G: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], w: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], mu: float, e: float, law: int) -> tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:
     """
     Impulse (n, t1, t2) of one point by the incremental law, and that until the end of the compression: (ok, (3,), (3,)).

@@ -26,6 +26,7 @@ from contactvi.scene.pair_names import PairNames
 from contactvi.scene.pairs import NeutralOverlaps, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
+from contactvi.scene.surface_motion import SurfaceMotion
 from contactvi.states import States
 
 
@@ -62,6 +63,7 @@ class Built:
         restitution, friction: Of the tested pairs, shapes (npairs,); what depends on the speed, at 1 m/s.
         overlap_values: Restitution and friction of the pairs of `overlaps`, shape (2, n).
         laws: Laws of contact of the pairs that have one, each with the places of its pairs.
+        surface_motions: Of the geometries whose surfaces move along themselves, by their names.
         elements: Constraints, springs and forces as the engine takes them.
         names: What selectors mean.
     """
@@ -77,6 +79,7 @@ class Built:
     friction: np.ndarray
     overlap_values: np.ndarray
     laws: list[tuple[PairLaw, list[int]]]
+    surface_motions: dict[str, SurfaceMotion]
     elements: Resolved
     names: Names
 
@@ -85,7 +88,7 @@ class Built:
         """The engine's scene (contactvi._core.Scene), made on first use; raises SceneError where it refuses."""
         return make_engine_scene(
             self.model, self.collision, self.pairs.numbers, self.restitution, self.friction, self.laws,
-            self.arrays, self.elements,
+            self.surface_motions, self.arrays, self.elements,
         )  # fmt: skip
 
     def coefficients(self, kind: str) -> list[tuple[tuple[str, str], float]]:
@@ -197,6 +200,7 @@ def build(
         friction,
         np.array([rule.values(names, overlaps.numbers) for rule in (contact.restitution, contact.friction)]),
         laws,
+        {name: motion for name, motion in contact.surface_motions.items() if name in index},
         resolved,
         parts.names,
     )

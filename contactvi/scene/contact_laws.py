@@ -13,99 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from contactvi.elements.user_functions import called, checked
-from contactvi.errors import InputError, SceneError, UserFunctionError
-from contactvi.inputs import array, check_choice, flag, listed, real, real_numbers, short
+from contactvi.errors import SceneError
+from contactvi.inputs import check_choice, flag, listed, real, short
+from contactvi.scene.number_functions import NumberFunction, NumberTable, number_function
 from contactvi.scene.pair_rules import Rule, smaller
 
 RESTITUTION_LAWS = ("poisson", "newton", "energetic")
 IMPACT_PROCESSES = ("two-phase", "incremental")
-TABLE = "a table of rows (speed in m/s, value), speeds ascending from 0 or more"
-
-
-@dataclass(frozen=True)
-class SpeedTable:
-    """A number that depends on a speed [m/s]: straight lines between places, constant beyond the ends."""
-
-    speeds: tuple[float, ...]
-    values: tuple[float, ...]
-    storable = True
-
-    def at(self, speed: float) -> float:
-        """Return the number at a speed [m/s]."""
-        return float(np.interp(speed, self.speeds, self.values))
-
-    def engine(self, name: str) -> Any:
-        """Return it as the engine takes it."""
-        return list(self.speeds), list(self.values)
-
-    def to_data(self) -> Any:
-        """Return it as plain data."""
-        return [list(self.speeds), list(self.values)]
-
-
-@dataclass(frozen=True)
-class SpeedCallable:
-    """A function of a speed [m/s]: of Python, or compiled, by the address of a C function double f(double)."""
-
-    function: Callable[[float], float]
-    low: float
-    high: float
-    storable = False
-
-    def at(self, speed: float) -> float:
-        """Return the number at a speed [m/s]."""
-        return self._value("a law of restitution", speed)
-
-    def engine(self, name: str) -> Any:
-        """Return it as the engine takes it; `name` is for the messages of what goes wrong in it."""
-        address = getattr(self.function, "address", None)
-        if isinstance(address, int):
-            return address
-
-        return lambda speed: self._value(name, speed)
-
-    def _value(self, name: str, speed: float) -> float:
-        result = float(checked(called(self.function, name, None, speed), name, None, (), "one number"))
-        if not self.low <= result <= self.high:
-            raise UserFunctionError(
-                f"{name} is outside of its range at {speed:.6g} m/s", function=name,
-                expected=f"a number in [{self.low:g}, {self.high:g}]", got=f"{result:.6g}",
-                remedy="Correct the function, or clip what it returns",
-            )  # fmt: skip
-        return result
-
-
-SpeedLaw = SpeedTable | SpeedCallable
-
-
-def speed_law(name: str, value: Any, low: float, high: float) -> SpeedLaw:
-    """Return a checked number that depends on a speed, with values in [low, high].
-
-    Args:
-        value: a table (n, 2) of speeds and values, a function of the speed, or a compiled one with an `address`
-            (numba.cfunc with the signature float64(float64)).
-
-    Raises:
-        InputError: neither, or speeds that do not ascend, or values that are outside.
-    """
-    if callable(value):
-        return SpeedCallable(value, low, high)
-    rows = real_numbers(value)
-    if rows is None or rows.ndim != 2 or rows.shape[1] != 2 or not len(rows):
-        raise InputError(
-            f"{name} is not usable", name=name, expected=f"a number, {TABLE}, or a function of the speed",
-            got=short(value), remedy=f"For example {name}=[(0, 0.8), (1, 0.5)]",
-        )  # fmt: skip
-    rows = array(name, value, rows.shape, TABLE)
-    if rows[0, 0] < 0.0 or np.any(np.diff(rows[:, 0]) <= 0.0):
-        raise InputError(
-            f"The speeds of {name} do not ascend", name=name, expected=TABLE, got=short(rows[:, 0].tolist()),
-            remedy="Sort the rows by speed, each speed once",
-        )  # fmt: skip
-    for number in rows[:, 1]:
-        real(f"a value of {name}", float(number), low, high)
-    return SpeedTable(tuple(map(float, rows[:, 0])), tuple(map(float, rows[:, 1])))
 
 
 @dataclass(frozen=True)
@@ -129,7 +43,7 @@ class PairLaw:
     tangential_restitution: float = 0.0
     spinning_radius: float = 0.0
     rolling_radius: float = 0.0
-    restitution_of_speed: SpeedLaw | None = None
+    restitution_of_speed: NumberFunction | None = None
 
     def engine(self, pair: tuple[str, str]) -> dict[str, Any]:
         """Return it as the arguments of the engine; `pair` names it in messages of its functions."""
@@ -195,7 +109,7 @@ class PairLaw:
         """Return what is not the default as plain data; functions are left out."""
         plain = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
         return {
-            name: value.to_data() if isinstance(value, SpeedTable) else value
+            name: value.to_data() if isinstance(value, NumberTable) else value
             for name, value in plain.items()
             if getattr(value, "storable", True)
         }
@@ -236,7 +150,7 @@ def checked_contact(
     numbers: dict[str, float] = {}
     laws = {name: checked_setting(name, value) for name, value in settings.items() if value is not None}
     if callable(restitution) or np.ndim(restitution) > 0:
-        laws["restitution_of_speed"] = speed_law("restitution", restitution, 0.0, 1.0)
+        laws["restitution_of_speed"] = number_function("restitution", restitution, 0.0, 1.0)
     elif restitution is not None:
         numbers["restitution"] = real("restitution", restitution, 0.0, 1.0)
         if varies:
@@ -313,7 +227,7 @@ def laws_from_data(rows: Sequence[Mapping[str, Any]]) -> LawRules:
             if name == "pairs":
                 continue
             if name.endswith("_of_speed"):
-                value = SpeedTable(*(tuple(map(float, numbers)) for numbers in value))
+                value = NumberTable(*(tuple(map(float, numbers)) for numbers in value))
             else:
                 value = checked_setting(name, value)
             for a, b in pairs:

@@ -10,6 +10,7 @@ from contactvi.importing.part import Part
 from contactvi.scene.compliance import ComplianceRule
 from contactvi.scene.contact_laws import LawRules
 from contactvi.scene.pair_rules import Rule
+from contactvi.scene.surface_motion import SurfaceMotion
 
 RESTITUTION = 0.5  # default: neither plastic nor elastic
 FRICTION = 0.0
@@ -17,7 +18,11 @@ FRICTION = 0.0
 
 @dataclass
 class ContactRules:
-    """What the user gives about contacts: numbers, compliance, laws, and pairs switched off or on by name."""
+    """What the user gives about contacts: numbers, compliance, laws, and pairs switched off or on by name.
+
+    Attributes:
+        surface_motions: Of the geometries whose surfaces move along themselves, by their names.
+    """
 
     restitution: Rule = field(default_factory=lambda: Rule(RESTITUTION))
     friction: Rule = field(default_factory=lambda: Rule(FRICTION))
@@ -25,6 +30,7 @@ class ContactRules:
     disabled: list[tuple[str, str]] = field(default_factory=list)
     enabled: list[tuple[str, str]] = field(default_factory=list)
     laws: LawRules = field(default_factory=LawRules)
+    surface_motions: dict[str, SurfaceMotion] = field(default_factory=dict)
 
     def add_part(self, part: Part) -> None:
         """Take over friction and restitution of a model's file; what is set for geometries and pairs counts more."""

@@ -52,6 +52,7 @@ from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import JointSettings, JointTable, Servo
 from contactvi.scene.pair_rules import Rule
 from contactvi.scene.selection import PartHandle
+from contactvi.scene.surface_motion import motions_from_data, motions_to_data
 
 FORMAT = "contactvi-scene"
 VERSION = 1
@@ -99,6 +100,7 @@ def scene_to_dict(
         "restitution": contact.restitution.default,
         "friction": contact.friction.default,
         "contact_laws": laws_to_data(built.laws, list(built.pairs)),
+        "surface_motions": motions_to_data(built.surface_motions),
         "stiffness": arrays.stiffness.tolist(),
         "rest": arrays.rest.tolist(),
         "limits": [bool(used) for used in arrays.limits],
@@ -110,6 +112,7 @@ def scene_to_dict(
             *elements.missing,
             *(element.name for element in elements.elements if not element.storable),
             *(f"the law of contact of {built.pairs[places[0]]}" for law, places in built.laws if not law.storable),
+            *(f"the surface velocity of {name}" for name, motion in built.surface_motions.items() if not motion.storable),
             *(target_name(name) for name, goal in arrays.targets.items() if not goal.storable),
         ],
         "parts": {
@@ -216,6 +219,7 @@ def _contact(data: Mapping[str, Any]) -> ContactRules:
     compliance = compliances_from_dict(data.get("compliances", ()))
     rules = ContactRules(Rule(float(data["restitution"])), Rule(float(data["friction"])), compliance)
     rules.laws = laws_from_data(data.get("contact_laws", ()))
+    rules.surface_motions = motions_from_data(data.get("surface_motions", ()))
     for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
         rules.restitution.set_pair([a], [b], float(e))
         rules.friction.set_pair([a], [b], float(mu))

@@ -18,6 +18,7 @@ from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
+from contactvi.scene.surface_motion import SurfaceMotion
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -35,6 +36,7 @@ def make_engine_scene(
     restitution: np.ndarray,
     friction: np.ndarray,
     laws: Sequence[tuple[PairLaw, list[int]]],
+    motions: Mapping[str, SurfaceMotion],
     arrays: JointArrays,
     elements: Resolved,
 ) -> EngineScene:
@@ -45,6 +47,7 @@ def make_engine_scene(
         pairs: Geometries of the tested pairs, int32 of shape (npairs, 2).
         restitution, friction: Of the tested pairs, shapes (npairs,).
         laws: Laws of contact, each with the places of its pairs.
+        motions: Of surfaces that move along themselves, by the names of their geometries.
 
     Raises:
         EngineError: The engine refuses it.
@@ -69,6 +72,8 @@ def make_engine_scene(
         for law, places in laws:
             a, b = (collision.geometryObjects[int(k)].name for k in pairs[places[0]])
             scene.set_contact_law(places, **law.engine((a, b)))
+        for name, motion in motions.items():
+            scene.set_surface_motion(int(collision.getGeometryId(name)), *motion.engine(name))
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)

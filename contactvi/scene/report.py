@@ -43,6 +43,8 @@ def scene_report(parts: Sequence[Part], built: Built, table: JointTable, element
         a, b = built.pairs[places[0]]
         more = f" and {len(places) - 1} more" if len(places) > 1 else ""
         report.notes.append(Note("used", "law of contact", f"{a} and {b}{more}", law.words()))
+    for name, motion in built.surface_motions.items():
+        report.notes.append(Note("used", "surface velocity", name, motion.words()))
     for row in built.elements.compliances:
         report.notes.append(Note("used", "compliance", " and ".join(row.names), row.law.describe()))
     try:

@@ -15,6 +15,7 @@ from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.pairs import ENABLED_BY_USER, untested_reason
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Selector
+from contactvi.scene.surface_motion import SurfaceMotion
 
 
 class SceneContacts:
@@ -134,6 +135,39 @@ class SceneContacts:
         self._contact.compliance.set(first, second, law)
         if second is not None:
             self._warn_if_untested(first, second)
+        self._built = None
+
+    def set_surface_velocity(
+        self,
+        a: Selector,
+        linear: ArrayLike = (0.0, 0.0, 0.0),
+        angular: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        profile: ArrayLike | Callable[[float], float] | None = None,
+    ) -> None:
+        """Let surfaces move along themselves while their bodies stay: a belt, a treadmill, a turntable.
+
+        The surface has the velocity profile(t) (linear + angular x r) beside that of its body, r from the origin of the
+        geometry. In contacts with friction, of every kind, the slip is counted from it; what of it is along the normal
+        of a contact does not count. Its work is in the column driven_work of `Trajectory.work`. A velocity of zero
+        takes it away.
+
+        Args:
+            a: of the bodies, parts or geometries.
+            linear: [m/s], shape (3,), in the frame of the geometry.
+            angular: [rad/s], shape (3,), in the frame of the geometry.
+            profile: a table (n, 2) of times [s] and factors, or a function of the time (a compiled one by its
+                `address`, as of numba.cfunc: float64(float64)). Smooth within steps, or with its kinks at their ends.
+
+        Raises:
+            InputError: bad numbers, or no such body.
+        """
+        motion = SurfaceMotion.checked(linear, angular, profile)
+        for name in self._geometries(a, "a"):
+            if motion.moves:
+                self._contact.surface_motions[name] = motion
+            else:
+                self._contact.surface_motions.pop(name, None)
         self._built = None
 
     def _warn_if_untested(self, first: Sequence[str], second: Sequence[str]) -> None:

@@ -24,6 +24,7 @@
     [[equality]]            joint, other, coefficients = [c0, c1, ...], name
     [[prescribe]]           joint (or a free body), motion, name
     [[compliance]]          a, b, stiffness, exponent, damping, friction, slip_speed     as Scene.set_compliance
+    [[surface_velocity]]    a, linear, angular, profile             as Scene.set_surface_velocity
     [[spring]]              a, b, point_a, point_b, stiffness, rest_length, damping, tension_only, name
     [[tape_spring]]         points = [["body", [x, y, z]], ...], and the rest of [[spring]]
     [[wrench]]              body, force, torque, point, axes = "world" | "body", name
@@ -201,7 +202,7 @@ def _add_element(scene: Scene, section: str, entry: Mapping[str, Any]) -> None:
         scene.add_joint_equality(values.pop("joint"), values.pop("other", None), **values)
     elif section == "prescribe":
         scene.prescribe(**values)
-    elif section in ("compliance", "servo", "actuator"):
+    elif section in ("compliance", "surface_velocity", "servo", "actuator"):
         getattr(scene, f"set_{section}")(**values)
     else:
         getattr(scene, f"add_{section}")(**values)

@@ -27,6 +27,7 @@ ELEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "tape_spring": (("points", *_SPRING), ("points", "stiffness")),
     "wrench": (("body", "force", "torque", "point", "axes", "name"), ("body",)),
     "compliance": ((*_ENDS, "stiffness", "exponent", "damping", "friction", "slip_speed"), ("a", "stiffness")),
+    "surface_velocity": (("a", "linear", "angular", "profile"), ("a",)),
     "servo": (("joint", "kp", "kd", "effort", "target"), ("joint", "kp", "kd")),
     "actuator": (("joint", "effort", "velocity"), ("joint",)),
 }

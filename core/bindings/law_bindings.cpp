@@ -28,29 +28,29 @@ namespace contactvi {
 namespace {
 
 using Table = std::pair<std::vector<double>, std::vector<double>>;
-using OfSpeed = nb::typed<nb::callable, double(double)>;
+using OfNumber = nb::typed<nb::callable, double(double)>;
 using Address = std::uintptr_t;  // of a C function double(double)
-using Given = std::variant<Table, Address, OfSpeed>;
+using Given = std::variant<Table, Address, OfNumber>;
 
 std::function<double(double)> function_of(Scene& s, const Given& given) {
   if (const Address* address = std::get_if<Address>(&given))
     return reinterpret_cast<double (*)(double)>(*address);  // NOLINT: the caller says what is there
-  return [call = keep(s, std::get<OfSpeed>(given))](double speed) {
-    return guarded(call, std::numeric_limits<double>::quiet_NaN(), [&] { return nb::cast<double>(call(speed)); });
+  return [call = keep(s, std::get<OfNumber>(given))](double place) {
+    return guarded(call, std::numeric_limits<double>::quiet_NaN(), [&] { return nb::cast<double>(call(place)); });
   };
 }
 
 // Stands for a coefficient of restitution that depends on the speed: neither plastic nor elastic.
 constexpr double kVaries = 0.5;
 
-SpeedFunction speed_function(Scene& s, const std::optional<Given>& value) {
+NumberFunction number_function(Scene& s, const std::optional<Given>& value) {
   if (!value) return {};
   if (const Table* table = std::get_if<Table>(&*value)) {
     if (table->first.empty() || table->first.size() != table->second.size())
-      throw Error("a table needs as many values as speeds");
+      throw Error("a table needs as many values as places");
     return {table->first, table->second};
   }
-  return SpeedFunction(function_of(s, *value));
+  return NumberFunction(function_of(s, *value));
 }
 
 void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, bool incremental, bool keeps_energy,
@@ -63,7 +63,7 @@ void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, b
   law.tangential = tangential;
   law.spinning = spinning;
   law.rolling = rolling;
-  law.e = speed_function(s, e);
+  law.e = number_function(s, e);
   for (const int pair : pairs) {
     if (pair < 0 || pair >= static_cast<int>(s.pairs.size())) throw Error("there is no such pair");
     Pair& taken = s.pairs[static_cast<std::size_t>(pair)];
@@ -71,6 +71,14 @@ void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, b
     if (law.e.given()) taken.restitution = kVaries;
   }
   s.laws.push_back(std::move(law));
+}
+
+void set_surface_motion(Scene& s, int geometry, const Vec3& linear, const Vec3& angular,
+                        const std::optional<Given>& profile) {
+  if (geometry < 0 || geometry >= static_cast<int>(s.geometries.size())) throw Error("there is no such geometry");
+  s.geometries[static_cast<std::size_t>(geometry)].motion = static_cast<int>(s.surface_motions.size());
+  s.surface_motions.push_back({linear, angular, number_function(s, profile)});
+  for (Pair& pair : s.pairs) pair.moves |= pair.a == geometry || pair.b == geometry;
 }
 
 }  // namespace
@@ -83,6 +91,10 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
       "followed through its impulse, whether e is lowered so that no energy is made, tangential restitution, and e "
       "as a function of the closing speed (table, address of a C function, function) or None; radii [m] of the "
       "friction against spinning and rolling.");
+  scene.def(
+      "set_surface_motion", &set_surface_motion, "geometry"_a, "linear"_a, "angular"_a, "profile"_a.none(),
+      "Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by "
+      "the time (table, address of a C function, function) or None.");
   m.def(
       "follow_impact",
       [](const Mat3& G, const Vec3& w, double mu, double e, int law) {

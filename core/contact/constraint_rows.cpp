@@ -19,8 +19,8 @@ void ContactStep::constraint_node(const VecCRef& q, double t, Node& node, const 
   node.t = t;
   node.motions = motions;
   if (bilateral_ > 0)
-    evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_), node.rate,
-                         node.motions);
+    evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_),
+                         node.rate.head(bilateral_), node.motions);
   if (friction_rows_ > 0) node.W.middleCols(bilateral_, friction_rows_).setZero();
   for (int k = 0; k < friction_rows_; ++k) node.W(friction_joints_[k].dof, bilateral_ + k) = 1.0;
 }
@@ -39,7 +39,7 @@ void ContactStep::set_constraint_velocities(double h) {
     if (h < ContactStepRecord::kShortestDifference * nominal_h_) {
       S = 0.5 * (node0_.W.leftCols(bilateral_) + node1_.W.leftCols(bilateral_));
       y.noalias() = S.transpose() * v_;
-      y += 0.5 * (node0_.rate + node1_.rate) + node0_.phi / nominal_h_;
+      y += 0.5 * (node0_.rate + node1_.rate).head(bilateral_) + node0_.phi / nominal_h_;
     } else {
       y = (node1_.phi - (h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0) * node0_.phi) / h;
     }
@@ -120,13 +120,14 @@ bool ContactStep::constraints_met(double h, bool rates) {
                           1.0,
                           h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0};
   if (rates) {
-    errors.rates = node1_.W.leftCols(bilateral_).transpose() * v1_ + node1_.rate;
-    errors.speed += v1_.cwiseAbs().maxCoeff() + node1_.rate.cwiseAbs().maxCoeff();
+    const auto rate = node1_.rate.head(bilateral_);
+    errors.rates = node1_.W.leftCols(bilateral_).transpose() * v1_ + rate;
+    errors.speed += v1_.cwiseAbs().maxCoeff() + rate.cwiseAbs().maxCoeff();
   }
   violated_constraint_ = find_violated(elements, errors);
   if (violated_constraint_ < 0 && rates)
-    violated_constraint_ =
-        find_jump(elements, node1_.W.leftCols(bilateral_).transpose() * v_, node0_.rate, node1_.rate, h);
+    violated_constraint_ = find_jump(elements, node1_.W.leftCols(bilateral_).transpose() * v_,
+                                     VecX(node0_.rate.head(bilateral_)), VecX(node1_.rate.head(bilateral_)), h);
   if (violated_constraint_ >= 0) why_ = "the constraints cannot be met";
   return violated_constraint_ < 0;
 }

@@ -62,7 +62,7 @@ bool ContactStep::accelerations(StepEquations& equations, const VecCRef& q, cons
     node0_ = kept1;
     end_node(q_side_, kept1.t + side * delta, kept1.motions.later(constraints, side * delta));
     b_.noalias() += (0.5 * side / delta) * (node1_.W.transpose() * v);
-    b_.head(bilateral_) += (0.5 * side / delta) * node1_.rate;
+    b_ += (0.5 * side / delta) * node1_.rate;
   }
   node0_ = kept0;
   node1_ = kept1;
@@ -76,7 +76,7 @@ void ContactStep::set_force_rows(StepEquations& equations, const VecCRef& v) {
   equations.solve_masses(MinvW_);
   delassus(node1_.W, MinvW_, G_end_);
   w_end_.noalias() = node1_.W.transpose() * v;
-  w_end_.head(bilateral_) += node1_.rate;
+  w_end_ += node1_.rate;
 }
 
 // The forces in force_cones_ for the accelerations b_ without them, from start values.

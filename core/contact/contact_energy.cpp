@@ -28,15 +28,13 @@ double ContactStep::friction_work() const {
   return total;
 }
 
-// The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
-double ContactStep::driven_work() const {
-  if (bilateral_ == 0) return 0.0;
-  return -lambda_.head(bilateral_).dot(node0_.rate) - lambda_end_.head(bilateral_).dot(node1_.rate);
-}
+// Forces on what moves by itself, a prescribed constraint or the surface of a belt, have power: the velocities that the
+// bodies have along these rows are -rate, beside the slip on a surface.
+double ContactStep::driven_work() const { return -lambda_.dot(node0_.rate) - lambda_end_.dot(node1_.rate); }
 
 double ContactStep::mean_work() const {
   double impulses = 0.0;
-  if (bilateral_ > 0) impulses -= lambda_.head(bilateral_).dot(node0_.rate);
+  impulses -= lambda_.dot(node0_.rate);
   for (int k = 0; k < friction_rows_; ++k) impulses += lambda_[bilateral_ + k] * v_[friction_joints_[k].dof];
   return integrator_.mean_work() + impulses;
 }
@@ -69,7 +67,8 @@ double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) {
   for (const ContactOutcome& out : outcomes_) impulses += out.position_impulse.norm() + out.velocity_impulse.norm();
   double trapezoid = 0.0;
   if (bilateral_ > 0) {
-    const VecX mean = 0.5 * ((node0_.W + node1_.W).leftCols(bilateral_).transpose() * v_ + node0_.rate + node1_.rate);
+    const VecX mean = 0.5 * ((node0_.W + node1_.W).leftCols(bilateral_).transpose() * v_ +
+                             (node0_.rate + node1_.rate).head(bilateral_));
     trapezoid = std::abs((lambda_ + lambda_end_).head(bilateral_).dot(mean));
   }
   const double turned = turn * turn * kinetic, free = kGauss * (free_change(p0, p1) + turned);

@@ -99,7 +99,7 @@ void ContactStep::set_rows() {
     node->side.resize(n);
     node->along.resize(n);
     node->phi.resize(bilateral_);
-    node->rate.resize(bilateral_);
+    node->rate.setZero(rows_);
     if (node->W.cols() != rows_ || node->W.rows() != nv) node->W.resize(nv, rows_);
   }
   if (S_.cols() == rows_) return;
@@ -131,8 +131,8 @@ void ContactStep::start_node(const VecCRef& q0) {
     geometry_.evaluate(persistent.point, node0_.at[i]);
     set_place(persistent.point, i, node0_);
     node0_.t1[i] = geometry_.start_tangent(persistent, node0_.at[i]);
-    guards_->rows(persistent.point.guard, node0_.at[i], node0_.t1[i], node0_.W.middleCols(row_[i], persistent.rows()));
-    if (persistent.point.material) reference_positions_[i] = geometry_.reference(persistent);
+    set_contact_rows(i, t, node0_);
+    if (persistent.counts_by_place()) reference_positions_[i] = geometry_.reference(persistent);
   }
 }
 
@@ -146,8 +146,20 @@ void ContactStep::end_node(const VecX& q1, double t1, const MotionValues& motion
     geometry_.evaluate(persistent.point, node1_.at[i]);
     set_place(persistent.point, i, node1_);
     node1_.t1[i] = geometry_.tangent(persistent, node1_.at[i], node0_.at[i], node0_.t1[i]);
-    guards_->rows(persistent.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], persistent.rows()));
+    set_contact_rows(i, t1, node1_);
   }
+}
+
+// The rows of contact i at a node, and the velocities that its surfaces have of themselves.
+void ContactStep::set_contact_rows(std::size_t i, double t, Node& node) {
+  const PersistentContact& persistent = contacts_[i];
+  const int guard = persistent.point.guard;
+  guards_->rows(guard, node.at[i], node.t1[i], node.W.middleCols(row_[i], persistent.rows()));
+  if (persistent.carried && persistent.mu > 0.0)
+    node.rate.segment<2>(row_[i] + 1) = guards_->surface_velocity(guard, node.at[i], node.t1[i], t);
+  if (persistent.carried && persistent.rows() > 3)
+    guards_->surface_turning(guard, node.at[i], node.t1[i], t,
+                             node.rate.segment(row_[i] + 3, persistent.turning_rows()));
 }
 
 // Whether the gap of a contact counts in a step of length h by its rate: the difference of two gaps over so short a
@@ -177,11 +189,11 @@ void ContactStep::set_row_velocities(double h) {
       y_[r] = (node1_.at[i].gap - remaining) / h;
     }
     if (persistent.mu == 0.0) continue;
-    if (persistent.point.material)
+    if (persistent.counts_by_place())
       y_.segment<2>(r + 1) = geometry_.displacement(persistent, reference_positions_[i]) / h;
-    for (int k = persistent.point.material ? r + 3 : r + 1; k < r + persistent.rows(); ++k) {
+    for (int k = persistent.counts_by_place() ? r + 3 : r + 1; k < r + persistent.rows(); ++k) {
       S_.col(k) = 0.5 * (node0_.W.col(k) + node1_.W.col(k));
-      y_[k] = S_.col(k).dot(v_);
+      y_[k] = S_.col(k).dot(v_) + 0.5 * (node0_.rate[k] + node1_.rate[k]);
     }
   }
 }

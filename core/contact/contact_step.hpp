@@ -188,7 +188,10 @@ class ContactStep final : public Stepper {
     bool known = false;
     double t = 0;
     MotionValues motions;
-    VecX q, phi, rate;  // residuals of the constraints, and their partial derivatives d phi/dt
+    VecX q, phi;  // residuals of the constraints
+    // Velocities of the rows that are not those of the bodies: d phi/dt of constraints, of surfaces that move along
+    // themselves; (rows,).
+    VecX rate;
     std::vector<Contact> at;
     std::vector<Vec3> t1;
     std::vector<Vec3> side;              // of rims: direction from the centre to the contact point, world
@@ -240,6 +243,7 @@ class ContactStep final : public Stepper {
   void classify_turning(std::size_t i, double speed);
   void set_turning_outcome(std::size_t i, double speed);
   void set_place(const ContactPoint& point, std::size_t i, Node& node) const;
+  void set_contact_rows(std::size_t i, double t, Node& node);
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1, const MotionValues& motions = {});
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);

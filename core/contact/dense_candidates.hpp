@@ -22,6 +22,8 @@ struct DenseContact {
   bool closed;   // takes part in the velocity impulse
   bool expands;  // restitution acts
   bool joined;   // found where it overlaps at the end of a motion, not at the start of the step
+  // Of surfaces that move along themselves, the velocities of the tangential rows at the start and the end [m/s].
+  Eigen::Vector2d drift0, drift1;
   int rows() const { return mu > 0.0 ? 3 : 1; }
   bool loaded() const { return position[0] + velocity[0] > 0.0; }
   Vec3 position_W() const;

@@ -51,7 +51,16 @@ VecX DenseStep::multipliers(const VecX& dv, const VecX& lambda) const {
 }
 
 // The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
-double DenseStep::driven_work() const { return -start_.mu.dot(start_.rate) - end_.mu.dot(end_.rate); }
+double DenseStep::constraint_work() const { return -start_.mu.dot(start_.rate) - end_.mu.dot(end_.rate); }
+
+double DenseStep::driven_work() const {
+  double work = constraint_work();
+  for (const DenseContact& c : contacts()) {
+    if (!guards_->moves(c.point.guard)) continue;
+    work -= c.position.tail<2>().dot(c.drift0) + c.velocity.tail<2>().dot(c.drift1);
+  }
+  return work;
+}
 
 // The impulses of the constraints at the end, of which p1_ is without. Driven constraints move by the mean of their
 // speeds at both ends, the trapezoid of which driven_work() is the work, and the bodies by the step: returns what these

@@ -239,13 +239,16 @@ void DenseStep::set_slips() {
     DenseContact& c = all[i];
     if (c.rows() == 1 || !c.loaded()) continue;
     c.t1_1 = carried_tangent(c.t1_0, c.at0.normal, c.at1.normal);
+    c.drift1 = drift(c, true);
     lasting_.push_back(i);
   }
   end_rows_.set(all, lasting_, true, guards_->placements(), h_);
   for (std::size_t i = 0, k = 0; i < active_.size() && k < lasting_.size(); ++i) {
     if (active_[i] != lasting_[k]) continue;
     for (int r = 1; r < 3; ++r)
-      rows_.problem().offset[rows_.block(i).row + r] = 0.5 * (end_rows_.velocity(k, r, v_) - rows_.velocity(i, r, v_));
+      rows_.problem().offset[rows_.block(i).row + r] =
+          0.5 * (end_rows_.velocity(k, r, v_) - rows_.velocity(i, r, v_)) +
+          0.5 * (all[active_[i]].drift0[r - 1] + all[active_[i]].drift1[r - 1]);
     ++k;
   }
 }
@@ -262,6 +265,18 @@ double DenseStep::widest_loaded_gap() const {
   return widest;
 }
 
+// What surfaces that move along themselves add to the tangential velocities of a contact, where the bodies are placed.
+Eigen::Vector2d DenseStep::drift(const DenseContact& c, bool at_end) {
+  if (!guards_->moves(c.point.guard)) return Eigen::Vector2d::Zero();
+  return at_end ? guards_->surface_velocity(c.point.guard, c.at1, c.t1_1, t_ + h_)
+                : guards_->surface_velocity(c.point.guard, c.at0, c.t1_0, t_);
+}
+
+bool DenseStep::any_surface_moves() const {
+  return std::any_of(contacts().begin(), contacts().end(),
+                     [this](const DenseContact& c) { return guards_->moves(c.point.guard); });
+}
+
 // The whole law, with the gaps linearised about the end of the present motion, then the gap iterations.
 bool DenseStep::position_problem() {
   std::vector<DenseContact>& all = candidates_.contacts();
@@ -271,6 +286,7 @@ bool DenseStep::position_problem() {
   integrator_.stage_velocity(v_);
   guards_->place(q0_);
   rows_.set(all, active_, false, guards_->placements(), h_);
+  for (DenseContact& c : all) c.drift0 = drift(c, false);
   BlockProblem& problem = rows_.problem();
   lambda_.setZero(problem.rows());
   mobility_.assign(active_.size(), 0.0);
@@ -280,6 +296,7 @@ bool DenseStep::position_problem() {
     const DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
     problem.offset[block.row] = offset(c, i);
+    if (block.rows == 3) problem.offset.segment<2>(block.row + 1) = c.drift0;
     lambda_.segment(block.row, block.rows) = c.position.head(block.rows);
     mobility_[i] = rows_.mobility(i);
   }
@@ -369,6 +386,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
     const double lift = c.position[0] * mobility_[i] * h_;
     c.closed = c.at1.gap <= std::max(kTouching, lift);
     c.t1_1 = scene_->is_pair(c.point.guard) ? carried_tangent(c.t1_0, c.at0.normal, c.at1.normal) : Vec3(Vec3::Zero());
+    c.drift1 = drift(c, true);
     if (c.closed) active_.push_back(i);
   }
   work_ = v1_;
@@ -385,6 +403,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const BlockContact& block = rows_.block(i);
     lambda_.segment(block.row, block.rows) = all[active_[i]].velocity.head(block.rows);
+    if (block.rows == 3) problem.offset.segment<2>(block.row + 1) = all[active_[i]].drift1;
   }
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v1_;
@@ -477,7 +496,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
     close_rates(integrator_, reduction_, end_.whole, end_.rate, p1_, work_, end_.mu);
   }
   const Energy free = energy(integrator_, q1_, p1_);
-  const double smooth_error = std::abs(total(free) - total(before) - integrator_.work() - driven_work());
+  const double smooth_error = std::abs(total(free) - total(before) - integrator_.work() - constraint_work());
   if (recorder_) recorder_->take_masses(rows_.problem());
   bound_velocities();
   if (!position_impulses()) return false;
@@ -488,9 +507,10 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   const Energy middle = energy(integrator_, q1_, p1_, v1_);
   report_.energy_error =
       kEnergyRounding * (size_of(before) + size_of(free)) + smooth_error + contacts_error(before, free, middle);
-  // What constraints drive does work that depends on the impulses: no bound on the energy is known before them.
+  // What constraints or surfaces drive does work that depends on the impulses: no bound on the energy is known before
+  // them.
   const double bound = total(before) + integrator_.work() + report_.energy_error - middle.potential;
-  if (!velocity_impulses(scene_->tree.elements.driven() ? INFINITY : bound)) return false;
+  if (!velocity_impulses(scene_->tree.elements.driven() || any_surface_moves() ? INFINITY : bound)) return false;
   if (constrained()) {
     report_.energy_error += take_reactions();
     if (!constraints_met()) return fail("the constraints cannot be met");
@@ -532,7 +552,7 @@ void DenseStep::set_results(const VecX& lambda) {
     c.velocity.head(block.rows) = lambda.segment(block.row, block.rows);
     if (block.rows == 3) {
       const Vec3 t2 = c.at1.normal.cross(c.t1_1);
-      c.slip_W = rows_.velocity(i, 1, v1_) * c.t1_1 + rows_.velocity(i, 2, v1_) * t2;
+      c.slip_W = (rows_.velocity(i, 1, v1_) + c.drift1[0]) * c.t1_1 + (rows_.velocity(i, 2, v1_) + c.drift1[1]) * t2;
       c.slip_speed = c.slip_W.norm();
     }
   }

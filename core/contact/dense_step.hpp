@@ -140,6 +140,9 @@ class DenseStep {
   BlockOptions solver_options() const;
   double place_end();
   double offset(const DenseContact& c, std::size_t i) const;
+  Eigen::Vector2d drift(const DenseContact& c, bool at_end);
+  bool any_surface_moves() const;
+  double constraint_work() const;
   bool velocity_impulses(double bound_energy);
   void expand(double bound_energy);
   double contacts_error(const Energy& before, const Energy& free, const Energy& middle) const;

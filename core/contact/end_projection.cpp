@@ -33,7 +33,7 @@ bool ContactStep::velocity_impulses() {
   }
   delassus(node1_.W, MinvW_, G_end_);
   w_end_.noalias() = node1_.W.transpose() * v1_;
-  w_end_.head(bilateral_) += node1_.rate;
+  w_end_ += node1_.rate;
   active_.clear();
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
@@ -207,8 +207,9 @@ void ContactStep::set_outcomes() {
     const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
     if (persistent.mu > 0.0 && !(persistent.sticks && !out.slipped && !out.slips)) {
       const Eigen::Vector2d before = slip_before(i);
-      const Eigen::Vector2d during(0.5 * (node0_.W.col(r + 1) + node1_.W.col(r + 1)).dot(v_),
-                                   0.5 * (node0_.W.col(r + 2) + node1_.W.col(r + 2)).dot(v_));
+      const Eigen::Vector2d own = 0.5 * (node0_.rate + node1_.rate).segment<2>(r + 1);
+      const Eigen::Vector2d during(0.5 * (node0_.W.col(r + 1) + node1_.W.col(r + 1)).dot(v_) + own[0],
+                                   0.5 * (node0_.W.col(r + 2) + node1_.W.col(r + 2)).dot(v_) + own[1]);
       const Eigen::Vector2d after(w_end_[r + 1], w_end_[r + 2]);
       out.friction_work = 0.5 * (out.position_impulse.tail<2>().dot(before + during) +
                                  out.velocity_impulse.tail<2>().dot(during + after));
@@ -325,7 +326,7 @@ void ContactStep::commit() {
       persistent.roll = out.roll_W;
     }
     persistent.heading.setZero();
-    if (!persistent.point.material) continue;
+    if (!persistent.counts_by_place()) continue;
     if (out.slips || out.slipped) persistent.anchored = false;
     if (!out.slips && !persistent.anchored) {
       persistent.anchor = geometry_.position_on_plane(persistent.point);

@@ -16,7 +16,7 @@ constexpr double kSlow = 1e-6;    // of 1 m/s and the velocities: slips below it
 
 // The slip of contact i at the start of the step, along its tangents.
 Eigen::Vector2d ContactStep::slip_before(std::size_t i) const {
-  return node0_.W.middleCols(row_[i] + 1, 2).transpose() * v_start_;
+  return node0_.W.middleCols(row_[i] + 1, 2).transpose() * v_start_ + node0_.rate.segment<2>(row_[i] + 1);
 }
 
 // A (ContactOutcome::paradox) of the contacts that slip at the start of the step; only of pairs with one point, because
@@ -60,7 +60,7 @@ void ContactStep::find_jumps() {
     any |= out.jumps;
   }
   if (!any) return;
-  const bool driven = bilateral_ > 0 && node0_.rate.cwiseAbs().maxCoeff() > 0.0;
+  const bool driven = bilateral_ > 0 && node0_.rate.head(bilateral_).cwiseAbs().maxCoeff() > 0.0;
   const double turn = largest_turn(scene_->tree, v_, h_), turned = turn * turn * p1_.dot(v1_);
   const double jump = (p1_ - p_given_).dot(v1_ - v_start_);
   const bool jumps = !driven && jump > kJump * kJump * (free_change(p_given_, p1_) + turned);

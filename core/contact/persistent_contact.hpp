@@ -18,6 +18,7 @@ struct PersistentContact {
   Vec3 tangent;                 // t1; of a vertex in the plane's body frame, else in the world, turned with the normal
   Vec3 force = Vec3::Zero();    // (n, t1, t2) in the last step [N]: start values of the next one
   bool is_new = false;          // while an event is resolved: the contact was not closed before it
+  bool carried = false;         // a surface of the pair moves along itself
   // Friction against spinning and rolling: radii [m]; 0: none.
   double spinning = 0, rolling = 0;
   double spin = 0;                    // at the node: radius times relative angular velocity about the normal [m/s],
@@ -28,8 +29,10 @@ struct PersistentContact {
   int rows() const { return mu > 0.0 ? 3 + turning_rows() : 1; }
   int friction_rows() const { return spinning > 0.0 ? 3 : 2; }  // of the slip with the spin
   int rolling_row() const { return 1 + friction_rows(); }
-  // Whether it is a material point that sticks at a place, and not surfaces that roll on each other.
-  bool keeps_place() const { return mu > 0.0 && sticks && point.material; }
+  // Whether its slip is the displacement of a material point, and not a velocity: surfaces that roll on each other, or
+  // move along themselves, have no such displacement.
+  bool counts_by_place() const { return point.material && !carried; }
+  bool keeps_place() const { return mu > 0.0 && sticks && counts_by_place(); }
   bool slides() const { return mu > 0.0 && !sticks; }  // with friction
 };
 

@@ -28,7 +28,7 @@ void PersistentRows::set(const std::vector<PersistentContact>& contacts, const s
     by_rate_.push_back(0);
     if (c.mu == 0.0) continue;
     if (c.sticks) {
-      by_rate_.insert(by_rate_.end(), 2, c.point.material ? 0 : 1);
+      by_rate_.insert(by_rate_.end(), 2, c.counts_by_place() ? 0 : 1);
     } else {
       slide_[i] = static_cast<int>(slides_.size());
       slides_.push_back({rows_[i], c.mu});
@@ -53,7 +53,8 @@ void PersistentRows::set(const std::vector<PersistentContact>& contacts, const s
   for (std::vector<Site>& sites : sites_) sites.resize(n);
 }
 
-void PersistentRows::place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) {
+void PersistentRows::place(int place, const VecCRef& q, double t, Placed to) {
+  auto& [phi, W, T, rate, drift] = to;
   guards_->place(q);
   std::vector<Site>& sites = sites_[static_cast<std::size_t>(place)];
   for (std::size_t i = 0; i < contacts_->size(); ++i) {
@@ -65,7 +66,7 @@ void PersistentRows::place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<M
     site.along = guards_->manifolds().place_along(c.point, at, site.contact);
     if (place == 0) {
       site.t1 = geometry_.start_tangent(c, site.contact);
-      if (c.point.material) references_[i] = geometry_.reference(c);
+      if (c.counts_by_place()) references_[i] = geometry_.reference(c);
     } else {
       site.t1 = geometry_.tangent(c, site.contact, sites_[0][i].contact, sites_[0][i].t1);
     }
@@ -77,12 +78,16 @@ void PersistentRows::place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<M
     }
     guards_->rows(c.point.guard, site.contact, site.t1, row_of_);
     W.col(r) = row_of_.col(0);
+    if (c.carried) {
+      auto own = c.sticks ? rate.segment<2>(r + 1) : drift.segment<2>(2 * slide_[i]);
+      own = guards_->surface_velocity(c.point.guard, site.contact, site.t1, t);
+    }
     if (!c.sticks) {
       T.middleCols<2>(2 * slide_[i]) = row_of_.rightCols<2>();
       continue;
     }
     W.middleCols<2>(r + 1) = row_of_.rightCols<2>();
-    if (c.point.material)
+    if (c.counts_by_place())
       phi.segment<2>(r + 1) = geometry_.displacement(c, references_[i]);
     else
       phi.segment<2>(r + 1).setZero();

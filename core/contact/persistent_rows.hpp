@@ -21,7 +21,7 @@ class PersistentRows final : public PhaseRows {
   int count() const override { return count_; }
   bool by_rate(int row) const override { return by_rate_[static_cast<std::size_t>(row)] != 0; }
   const std::vector<Slide>& slides() const override { return slides_; }
-  void place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) override;
+  void place(int place, const VecCRef& q, double t, Placed at) override;
   const VecX* load() const override { return loaded_ ? &load_ : nullptr; }
   double start_angle(int slide, const Eigen::Vector2d& slip, double speed) const override;
 

@@ -52,8 +52,8 @@ void ContactStep::set_turning_outcome(std::size_t i, double speed) {
   out.position_turning.head(turning) = lambda_.segment(r + 3, turning);
   out.velocity_turning.head(turning) = lambda_end_.segment(r + 3, turning);
   const auto work = [&](int row) {
-    const double before = node0_.W.col(row).dot(v_start_),
-                 during = 0.5 * (node0_.W.col(row) + node1_.W.col(row)).dot(v_);
+    const double before = node0_.W.col(row).dot(v_start_) + node0_.rate[row],
+                 during = 0.5 * ((node0_.W.col(row) + node1_.W.col(row)).dot(v_) + node0_.rate[row] + node1_.rate[row]);
     return 0.5 * (lambda_[row] * (before + during) + lambda_end_[row] * (during + w_end_[row]));
   };
   out.spin = persistent.spinning > 0.0 ? w_end_[r + 3] : 0.0;

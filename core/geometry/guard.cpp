@@ -307,6 +307,36 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
   turning_rows(scene_->tree, placements_, contact, t1, law.spinning, law.rolling, W.rightCols(W.cols() - 3));
 }
 
+Eigen::Vector2d Guards::surface_velocity(int guard, const Contact& contact, const Vec3& t1, double t) {
+  place_pair(guard);
+  const auto of = [&](int geometry, const Vec3& x) -> Vec3 {
+    const Geometry& g = scene_->geometries[geometry];
+    if (g.motion < 0) return Vec3::Zero();
+    const Mat3 R = g.body < 0 ? g.R_BG : Mat3(placements_.R_W[g.body] * g.R_BG);
+    const Vec3 p = g.body < 0 ? g.p_BG : Vec3(placements_.p_W[g.body] + placements_.R_W[g.body] * g.p_BG);
+    return R * scene_->surface_motions[g.motion].velocity(R.transpose() * (x - p), t);
+  };
+  const Vec3 u = of(scene_->pairs[guard].b, contact.point_b) - of(scene_->pairs[guard].a, contact.point_a);
+  return {u.dot(t1), u.dot(contact.normal.cross(t1))};
+}
+
+void Guards::surface_turning(int guard, const Contact& contact, const Vec3& t1, double t, VecRef rates) {
+  place_pair(guard);
+  const auto of = [&](int geometry) -> Vec3 {
+    const Geometry& g = scene_->geometries[geometry];
+    if (g.motion < 0) return Vec3::Zero();
+    const Vec3 turning = g.R_BG * scene_->surface_motions[g.motion].turning(t);
+    return g.body < 0 ? turning : Vec3(placements_.R_W[g.body] * turning);
+  };
+  const Vec3 turning = of(scene_->pairs[guard].b) - of(scene_->pairs[guard].a);
+  const ContactLaw& law = *scene_->law(guard);
+  Eigen::Index k = 0;
+  if (law.spinning > 0.0) rates[k++] = law.spinning * turning.dot(contact.normal);
+  if (!(law.rolling > 0.0)) return;
+  rates[k++] = law.rolling * turning.dot(t1);
+  rates[k] = law.rolling * turning.dot(contact.normal.cross(t1));
+}
+
 double Guards::depth_tolerance(int guard) const {
   return guard < pairs_ ? std::max(kFeatureRounding, 1.2 * manifolds_.noise(guard)) : kFeatureRounding;
 }

@@ -87,6 +87,13 @@ void ImpactSequence::add_rows(ClosedGuard& c) {
   if (projection_.any())
     projection_.apply(c.W.middleCols(c.rows, m), c.MinvW.middleCols(c.rows, m), c.mu_fixed.middleCols(c.rows, m),
                       c.offset.segment(c.rows, m));
+  if (m >= 3 && guards_->moves(c.guard))
+    c.offset.segment<2>(c.rows + 1) += guards_->surface_velocity(c.guard, contact, t1, time_);
+  if (m > 3 && guards_->moves(c.guard)) {
+    VecX turning(m - 3);
+    guards_->surface_turning(c.guard, contact, t1, time_, turning);
+    c.offset.segment(c.rows + 3, m - 3) += turning;
+  }
   c.contacts.push_back(contact);
   c.t1.push_back(t1);
   c.rows += m;
@@ -129,6 +136,7 @@ bool ImpactSequence::place(const VecX& q, const VecX& p, double t) {
   held_.clear();
   any_persistent_ = false;
   q_ = q;
+  time_ = t;
   guards_->place(q);
   if (!integrator_->node_velocity(q, p, v_))
     return fail(StatusCode::kNewtonFailed, "the mass matrix is not positive definite", -1);

@@ -42,7 +42,7 @@ struct ClosedGuard {
   int rows = 0;
   MatX W, MinvW;  // nv x rows at least; projected on the constraints
   MatX mu_fixed;  // impulses of the constraints per unit impulse of a row, (constraint rows, rows)
-  VecX offset;    // part of the rows' velocities that moving constraints cause
+  VecX offset;    // part of the rows' velocities that moving constraints and surfaces cause
 
   int rows_per_point() const { return mu > 0.0 ? 3 + (spinning > 0.0 ? 1 : 0) + (rolling > 0.0 ? 2 : 0) : 1; }
   // Normal speed of a point, negative on approach.

@@ -329,11 +329,11 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
                             const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
                             const Instant& at, Recording& recording) {
   ++impacts_;
-  if (projection_.any()) {
-    const VecX answer = closed.mu_fixed.leftCols(closed.rows) * lambda;
-    constraint_impulses_ -= answer;
-    driven_work_ += answer.dot(projection_.rate());
-    reference_->value += answer.dot(projection_.rate());
+  if (projection_.any()) constraint_impulses_ -= closed.mu_fixed.leftCols(closed.rows) * lambda;
+  if (projection_.any() || guards_->moves(closed.guard)) {
+    const double done = -closed.offset.head(closed.rows).dot(lambda);
+    driven_work_ += done;
+    reference_->value += done;
   }
   ImpactRecord r;
   const int m = closed.rows_per_point();

@@ -120,6 +120,7 @@ class ImpactSequence {
   long impacts_in_step_ = 0;
   VecX constraint_impulses_;
   double driven_work_ = 0;
+  double time_ = 0;  // at which the contacts are closed [s]
   double speeds_ =
       0;  // largest sum of the absolute terms of a closed point's speed before the event: the scale of its rounding
   Projection projection_;

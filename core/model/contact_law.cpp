@@ -9,40 +9,40 @@
 namespace contactvi {
 
 namespace {
-constexpr double kStep = 1e-3;       // of the speed, of differences
-constexpr double kLeastStep = 1e-6;  // [m/s]
+constexpr double kStep = 1e-3;       // of the place, of differences
+constexpr double kLeastStep = 1e-6;  // [m/s; s]
 }  // namespace
 
-SpeedFunction::SpeedFunction(std::vector<double> speeds, std::vector<double> values)
-    : speeds_(std::move(speeds)), values_(std::move(values)) {}
+NumberFunction::NumberFunction(std::vector<double> places, std::vector<double> values)
+    : places_(std::move(places)), values_(std::move(values)) {}
 
-SpeedFunction::SpeedFunction(std::function<double(double)> value) : function_(std::move(value)) {}
+NumberFunction::NumberFunction(std::function<double(double)> value) : function_(std::move(value)) {}
 
-int SpeedFunction::piece(double speed) const {
-  return static_cast<int>(std::upper_bound(speeds_.begin(), speeds_.end(), speed) - speeds_.begin()) - 1;
+int NumberFunction::piece(double place) const {
+  return static_cast<int>(std::upper_bound(places_.begin(), places_.end(), place) - places_.begin()) - 1;
 }
 
-double SpeedFunction::rise(int piece) const {
-  if (piece < 0 || piece + 1 == static_cast<int>(speeds_.size())) return 0.0;
+double NumberFunction::rise(int piece) const {
+  if (piece < 0 || piece + 1 == static_cast<int>(places_.size())) return 0.0;
   const auto i = static_cast<std::size_t>(piece);
-  return (values_[i + 1] - values_[i]) / (speeds_[i + 1] - speeds_[i]);
+  return (values_[i + 1] - values_[i]) / (places_[i + 1] - places_[i]);
 }
 
-double SpeedFunction::operator()(double speed) const {
-  if (function_ != nullptr) return function_(speed);
-  const int at = piece(speed);
+double NumberFunction::operator()(double place) const {
+  if (function_ != nullptr) return function_(place);
+  const int at = piece(place);
   const auto i = static_cast<std::size_t>(std::max(0, at));
-  return values_[i] + rise(at) * (speed - speeds_[i]);
+  return values_[i] + rise(at) * (place - places_[i]);
 }
 
-double SpeedFunction::slope(double speed) const {
-  if (function_ == nullptr) return rise(piece(speed));
-  const double step = std::max(kStep * speed, kLeastStep);
+double NumberFunction::slope(double place) const {
+  if (function_ == nullptr) return rise(piece(place));
+  const double step = std::max(kStep * place, kLeastStep);
   double sum = 0.0;
-  if (speed > 2.0 * step) {
-    for (const DifferenceTerm& term : kDifference) sum += term.weight * function_(speed + term.count * step);
-  } else {  // a speed is not negative
-    for (int i = 0; i < 5; ++i) sum -= kOneSided[i] * function_(speed + i * step);
+  if (place > 2.0 * step) {
+    for (const DifferenceTerm& term : kDifference) sum += term.weight * function_(place + term.count * step);
+  } else {  // it is not negative
+    for (int i = 0; i < 5; ++i) sum -= kOneSided[i] * function_(place + i * step);
   }
   return sum / (kDifferenceParts * step);
 }

@@ -6,26 +6,27 @@
 
 namespace contactvi {
 
-// A number that depends on a speed >= 0 [m/s]: straight lines between the places of a table, constant beyond its ends,
-// or a function of the user.
-class SpeedFunction {
+// A number that depends on another one >= 0, a speed [m/s] or a time [s]: straight lines between the places of a table,
+// constant beyond its ends, or a function of the user.
+class NumberFunction {
  public:
-  SpeedFunction() = default;
+  NumberFunction() = default;
   // Places ascend, at least one.
-  SpeedFunction(std::vector<double> speeds, std::vector<double> values);
-  explicit SpeedFunction(std::function<double(double)> value);
+  NumberFunction(std::vector<double> places, std::vector<double> values);
+  explicit NumberFunction(std::function<double(double)> value);
 
-  bool given() const { return function_ != nullptr || !speeds_.empty(); }
-  double operator()(double speed) const;
+  bool given() const { return function_ != nullptr || !places_.empty(); }
+  double operator()(double place) const;
   // Its derivative; that of a function by differences.
-  double slope(double speed) const;
+  double slope(double place) const;
 
  private:
-  // The place at which the piece of the table begins in which a speed lies; -1 before the table, the last one after it.
-  int piece(double speed) const;
+  // Number of the place at which the piece of the table begins in which this one lies; -1 before the table, the last one
+  // after it.
+  int piece(double place) const;
   double rise(int piece) const;
 
-  std::vector<double> speeds_, values_;
+  std::vector<double> places_, values_;
   std::function<double(double)> function_;
 };
 
@@ -40,7 +41,7 @@ struct ContactLaw {
   // Restitution is lowered where it would make energy.
   bool keeps_energy = true;
   double tangential = 0.0;  // of the slip, where friction holds it
-  SpeedFunction e;          // of the closing speed, instead of the pair's number
+  NumberFunction e;         // of the closing speed, instead of the pair's number
   // Radii [m] of the friction of a point against spinning and against rolling; 0: none.
   double spinning = 0.0, rolling = 0.0;
   // Whether an impact is not Poisson's in two phases.

@@ -8,6 +8,7 @@
 
 #include "base/on_demand.hpp"
 #include "model/contact_law.hpp"
+#include "model/surface_motion.hpp"
 #include "model/tree.hpp"
 
 namespace coal {
@@ -38,6 +39,7 @@ struct Geometry {
   // Bounding box along the axes of the geometry's frame [m]; a ball has the same box whichever way it is turned.
   Vec3 box_center, box_half;
   bool is_ball;
+  int motion = -1;  // of its surface, in Scene::surface_motions; -1: none
   // Features of the sharp and of the rounded shape, shared by all that simulate the scene and made when a pair first
   // comes near enough to need them; null where no pair ever does.
   std::shared_ptr<const OnDemand<ShapeFeatures>> sharp_features, rounded_features;
@@ -46,10 +48,11 @@ struct Geometry {
 struct Pair {
   int a, b;  // geometry indices
   double restitution;
-  double friction;  // Coulomb's coefficient
-  bool rounded;     // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
-  bool refined;     // GJK iterates towards a cylinder or an ellipsoid: the distance is found to rounding from there
-  int law = -1;     // in Scene::laws; -1: none beyond the two coefficients
+  double friction;     // Coulomb's coefficient
+  bool rounded;        // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
+  bool refined;        // GJK iterates towards a cylinder or an ellipsoid: the distance is found to rounding from there
+  int law = -1;        // in Scene::laws; -1: none beyond the two coefficients
+  bool moves = false;  // a surface of it moves along itself
 };
 
 struct Scene {
@@ -58,6 +61,7 @@ struct Scene {
   std::vector<Geometry> geometries;
   std::vector<Pair> pairs;
   std::vector<ContactLaw> laws;                 // of the pairs that have one
+  std::vector<SurfaceMotion> surface_motions;   // of the geometries that have one
   std::shared_ptr<const PairTable> pair_table;  // of the pairs, made by prepare_geometry
 
   int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }

@@ -168,6 +168,7 @@ void restrict_geometry(const Scene& whole, const StaticTrees& trees, const std::
     return static_cast<int>(at - sub.geometries.begin());
   };
   sub.scene.laws = whole.laws;
+  sub.scene.surface_motions = whole.surface_motions;
   for (int k : pairs) {
     Pair pair = whole.pairs[k];
     pair.a = number(pair.a);

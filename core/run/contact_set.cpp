@@ -58,6 +58,7 @@ PersistentContact ContactSet::make_persistent(const ContactPoint& point, const C
   PersistentContact persistent;
   persistent.point = point;
   persistent.mu = scene_->friction(point.guard);
+  persistent.carried = guards_->moves(point.guard);
   persistent.tangent = any_tangent(contact.normal);
   if (point.kind == PointKind::kVertex && point.plane_body >= 0)
     persistent.tangent = guards_->placements().R_W[point.plane_body].transpose() * persistent.tangent;
@@ -268,7 +269,9 @@ void ContactSet::leave(std::size_t i, const VecX& v, double time, Recording& rec
     const Vec3 t1 = any_tangent(contact.normal);
     guards_->rows(g, contact, t1, row);
     if (std::abs(row.col(0).dot(v)) > slow) continue;
-    const Vec3 slip = row.col(1).dot(v) * t1 + row.col(2).dot(v) * contact.normal.cross(t1);
+    Eigen::Vector2d w(row.col(1).dot(v), row.col(2).dot(v));
+    if (guards_->moves(g)) w += guards_->surface_velocity(g, contact, t1, time);
+    const Vec3 slip = w[0] * t1 + w[1] * contact.normal.cross(t1);
     contacts.push_back(make_persistent(point, contact, old.slides() ? slip : Vec3(Vec3::Zero())));
     record_change(time, point, Change::kBegin, 0.0, recording);
   }

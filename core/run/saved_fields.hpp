@@ -152,10 +152,10 @@ void fields(Archive& a, Contact& x) {
 
 template <class Archive>
 void fields(Archive& a, PersistentContact& x) {
-  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, spinning, rolling, spin, roll,
-         turning_force] = x;
-  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, spinning, rolling, spin, roll,
-         turning_force);
+  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, carried, spinning, rolling, spin,
+         roll, turning_force] = x;
+  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, carried, spinning, rolling,
+         spin, roll, turning_force);
 }
 
 template <class Archive>

@@ -20,9 +20,9 @@ bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda, 
   chart_.take(X);
   constraints_.take(q, t);
   twists_.place(q);
-  VecX phi(phase.count());
+  VecX phi(phase.count()), rate(phase.count()), drift(2 * slides);
   MatX W(n, phase.count()), T(n, 2 * slides);
-  phase.place(number, q, phi, W, T);
+  phase.place(number, q, t, {phi, W, T, rate, drift});
   rates_.setZero(rows);
   rates_.head(fixed) = constraints_.rates();
   // Beside its normal a sliding contact has two columns that are no rows: its tangents.

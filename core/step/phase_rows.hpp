@@ -25,9 +25,16 @@ class PhaseRows {
   // Whether a row is one of velocities, W.v = 0, which has no displacement that it is the rate of.
   virtual bool by_rate(int row) const = 0;
   virtual const std::vector<Slide>& slides() const = 0;
-  // Sets, at a configuration of the step, the displacements phi (count,), the gradients W (nv, count), and the tangents
-  // T (nv, 2 per slide). Tangents turn with their surfaces from place 0 on, the start of the step, which comes first.
-  virtual void place(int place, const VecCRef& q, VecRef phi, Eigen::Ref<MatX> W, Eigen::Ref<MatX> T) = 0;
+  // What is set at a configuration of the step: the displacements phi (count,), the gradients W (nv, count), the tangents
+  // T (nv, 2 per slide); and the velocities that surfaces have of themselves, where some move along themselves, beside
+  // W^T v (count,) and T^T v (2 per slide,).
+  struct Placed {
+    VecRef phi;
+    Eigen::Ref<MatX> W, T;
+    VecRef rate, drift;
+  };
+  // At the time t [s]. Tangents turn with their surfaces from place 0 on, the start of the step, which comes first.
+  virtual void place(int place, const VecCRef& q, double t, Placed at) = 0;
   // Constant forces of the step (nv,), those of joints that slide against their friction; null: none.
   virtual const VecX* load() const = 0;
   // Direction of the slip at the start, as an angle from the first tangent [rad]; slip: its components there, of a

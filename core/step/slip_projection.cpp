@@ -16,7 +16,7 @@ constexpr double kExact = 1e-16, kNear = 1e-13;
 constexpr double kStill = 1e-3;
 }  // namespace
 
-bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate,
+bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate, const VecX& drift,
                            const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& before, VecRef p,
                            VecX& v, VecRef lambda, VecRef angles, VecRef slips) {
   const Eigen::Index m = W.cols(), count = static_cast<Eigen::Index>(slides.size()), n = m + count;
@@ -48,7 +48,7 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
   double last = std::numeric_limits<double>::infinity();
   for (int k = 0; k < kMostIterations; ++k) {
     weigh();
-    const VecX w = to_W * weights, u = to_T * weights;
+    const VecX w = to_W * weights, u = to_T * weights + drift;
     const double speed = 1.0 + w.cwiseAbs().maxCoeff() + u.cwiseAbs().maxCoeff();
     const MatX to_u = to_T * J;
     A.topRows(m).noalias() = to_W * J;
@@ -102,7 +102,7 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
       conditions_.col(m + j) = c * T.col(2 * j + 1) - s * T.col(2 * j);
       if (turned[static_cast<std::size_t>(j)] != 0) conditions_.col(m + j).setZero();
     }
-    const VecX slip = T.transpose() * v;
+    const VecX slip = T.transpose() * v + drift;
     for (Eigen::Index j = 0; j < count; ++j)
       slips[j] = std::cos(angles[j]) * slip[2 * j] + std::sin(angles[j]) * slip[2 * j + 1];
     return v.allFinite();

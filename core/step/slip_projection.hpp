@@ -2,7 +2,7 @@
 //
 // Along rows with gradients W and tangents T of sliding contacts, at the momentum p: impulses lambda along
 // F = W - mu T d, column by column of the sliding contacts' normals, with W^T M^-1 (p + F lambda) + rate = 0, and
-// directions d of the slips there, across which the slip is zero. Newton's method on both.
+// directions d of the slips T^T M^-1 (p + F lambda) + drift there, across which the slip is zero. Newton's method on both.
 #pragma once
 
 #include "step/phase_rows.hpp"
@@ -17,7 +17,7 @@ class SlipProjection {
   // slides' normals follow `first` others. A slip that has turned back, so far that its direction is no longer to be
   // found from it, keeps that of `before`. Adds F lambda to p, and sets v = M^-1 p and the slips (slides,). The node of
   // `equations` must be placed. False: it was not found.
-  bool apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate,
+  bool apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate, const VecX& drift,
              const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& before, VecRef p, VecX& v,
              VecRef lambda, VecRef angles, VecRef slips);
   // How the velocity v of the last projection that succeeded changes with the momentum p before it: dv, (nv, columns),

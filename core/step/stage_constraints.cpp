@@ -127,6 +127,7 @@ void StageConstraints::aim_slips() {
   for (int k = 0; k <= stages_; ++k) {
     path_.velocity(table_->d[k], v_node_);
     slips.col(k).noalias() = nodes_[k].T.transpose() * v_node_;
+    slips.col(k) += nodes_[k].drift;
   }
   const VecX least = kAimed * slips.cwiseAbs().rowwise().maxCoeff();
   for (int k = 1; k <= stages_; ++k) {
@@ -160,6 +161,10 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
     slips_.col(k) = nodes_[k].along.transpose() * v_node_;
     nodes_[k].slip_across = nodes_[k].across.transpose() * v_node_;
     for (int j = 0; j < slides_; ++j) {
+      const double c = std::cos(angles_(j, k)), s = std::sin(angles_(j, k));
+      const auto drift = nodes_[k].drift.segment<2>(2 * j);
+      slips_(j, k) += c * drift[0] + s * drift[1];
+      nodes_[k].slip_across[j] += c * drift[1] - s * drift[0];
       // The first iterations may show a slip that has turned back and has not. What changes on and on stays at last, so
       // that the iterations can end; where it is wrong the step is not taken (keeps_phase).
       int& seen = turns_[static_cast<std::size_t>(k * slides_ + j)];
@@ -389,7 +394,7 @@ void StageConstraints::add_to_residual(const Stages& stages) {
       for (int r = 0; r < held; ++r)
         if (phase_->by_rate(r))
           residual_[unknown_at(i, fixed_ + r)] +=
-              h_ * (v.row(i) - dv.row(i)).dot(rolls_[static_cast<std::size_t>(i)].col(r));
+              h_ * ((v.row(i) - dv.row(i)).dot(rolls_[static_cast<std::size_t>(i)].col(r)) + roll_rates_(r, i));
   }
   for (int k = 1; k < stages_; ++k)
     for (int j = 0; j < slides_; ++j) {
@@ -500,8 +505,9 @@ void StageConstraints::accelerate(Stages& stages, const VecX& du, const VecX& pu
 // The impulse at the end where contacts slide, in momentum and velocity there.
 bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
   const Node& end = nodes_[stages_];
-  return slip_projection_.apply(equations, end.W, end.T, end.rate, phase_->slides(), fixed_, angles_.col(stages_ - 1),
-                                p1, v1_, lambda_.col(stages_), angles_.col(stages_), slips_.col(stages_));
+  return slip_projection_.apply(equations, end.W, end.T, end.rate, end.drift, phase_->slides(), fixed_,
+                                angles_.col(stages_ - 1), p1, v1_, lambda_.col(stages_), angles_.col(stages_),
+                                slips_.col(stages_));
 }
 
 void StageConstraints::give_up() {
@@ -523,13 +529,24 @@ bool StageConstraints::keeps_phase() const {
   const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
   for (int r = fixed_; r < rows_; ++r) {
     if (!phase_->by_rate(r - fixed_) && !(std::abs(end.phi[r]) <= kHeld)) return false;
-    if (!(std::abs(end.W.col(r).dot(v1_)) <= kHeldRate * speed)) return false;
+    if (!(std::abs(end.W.col(r).dot(v1_) + end.rate[r]) <= kHeldRate * speed)) return false;
   }
   // Equations with the direction of another node for a slip that has not turned back have a solution, but not that one.
   for (int k = 1; k < stages_; ++k)
     for (int j = 0; j < slides_; ++j)
       if (turned(k, j) && slips_(j, k) > 0.0) return false;
   return true;
+}
+
+// Work of the friction of sliding contacts on surfaces that move along themselves, at a node.
+double StageConstraints::slide_work(int k) const {
+  double work = 0.0;
+  for (int j = 0; j < slides_; ++j) {
+    const auto& [normal, mu] = phase_->slides()[static_cast<std::size_t>(j)];
+    const Eigen::Vector2d d(std::cos(angles_(j, k)), std::sin(angles_(j, k)));
+    work += mu * lambda_(fixed_ + normal, k) * d.dot(nodes_[static_cast<std::size_t>(k)].drift.segment<2>(2 * j));
+  }
+  return work;
 }
 
 bool StageConstraints::close(StepEquations& equations, const Stages& stages, const VecCRef& q1, VecRef p1) {
@@ -554,7 +571,7 @@ bool StageConstraints::close(StepEquations& equations, const Stages& stages, con
   sum_ = lambda_.rowwise().sum();
   work_ = mean_work_ = 0.0;
   for (int k = 0; k <= stages_; ++k) {
-    const double done = -lambda_.col(k).dot(nodes_[k].rate);
+    const double done = -lambda_.col(k).dot(nodes_[k].rate) + slide_work(k);
     work_ += done;
     mean_work_ += (1.0 - table_->d[k]) * done;
   }

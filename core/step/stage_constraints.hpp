@@ -123,6 +123,7 @@ class StageConstraints : private StageNodes {
   void add_to_residual(const Stages& stages);
   bool close_slides(StepEquations& equations, VecRef p1);
   bool keeps_phase() const;
+  double slide_work(int k) const;
 
   MatX answers_;  // (slides, s + 1): what friction answers across the slip to a turn of its direction, <= 0
   // Per node and slide, how often the slip was found to have turned back, or not to have; odd: it has. Then it keeps

@@ -46,11 +46,13 @@ void StageNodes::resize() {
     node.T.resize(nv, 2 * slides_);
     for (MatX* X : {&node.along, &node.across, &node.chart_across}) X->resize(nv, slides_);
     node.slip_across.setZero(slides_);
+    node.drift.setZero(2 * slides_);
   }
   if (lambda_.rows() != rows_ || lambda_.cols() != stages_ + 1) lambda_.setZero(rows_, stages_ + 1);
   angles_.setZero(slides_, stages_ + 1);
   slips_.setZero(slides_, stages_ + 1);
   if (rolling_ > 0) rolls_.assign(static_cast<std::size_t>(stages_), MatX(nv, rows_ - fixed_));
+  roll_rates_.setZero(rows_ - fixed_, stages_);
 }
 
 void StageNodes::place(Node& node, int number) {
@@ -60,7 +62,9 @@ void StageNodes::place(Node& node, int number) {
                          node.rate.head(fixed_), node.motions);
   }
   if (phase_ != nullptr)
-    phase_->place(number, node.q, node.phi.tail(rows_ - fixed_), node.W.rightCols(rows_ - fixed_), node.T);
+    phase_->place(number, node.q, node.t,
+                  {node.phi.tail(rows_ - fixed_), node.W.rightCols(rows_ - fixed_), node.T,
+                   node.rate.tail(rows_ - fixed_), node.drift});
   to_chart(node, node.W, node.chart_W);
   direct(node, number);
 }
@@ -99,6 +103,7 @@ void StageNodes::begin(StepEquations& equations, const VecCRef& q0, const VecCRe
   const bool same_speed = same && p0_.size() == p0.size() && p0_ == p0;
   p0_ = p0;
   h_ = h;
+  t0_ = t0;
   for (int k = 0; k <= stages_; ++k) {
     if (k > 0 || !same) nodes_[k].motions.forget();
     nodes_[k].t = t0 + table_->d[k] * h;
@@ -115,7 +120,7 @@ void StageNodes::begin(StepEquations& equations, const VecCRef& q0, const VecCRe
   if (slides_ == 0) return;
   if (!equations.node_velocity(q0, p0, v0_)) v0_.setZero();
   for (int j = 0; j < slides_; ++j) {
-    const Eigen::Vector2d slip = nodes_[0].T.middleCols<2>(2 * j).transpose() * v0_;
+    const Eigen::Vector2d slip = nodes_[0].T.middleCols<2>(2 * j).transpose() * v0_ + nodes_[0].drift.segment<2>(2 * j);
     angles_.row(j).setConstant(phase_->start_angle(j, slip, v0_.cwiseAbs().maxCoeff()));
     slips_.row(j).setConstant(slip.dot(Eigen::Vector2d(std::cos(angles_(j, 0)), std::sin(angles_(j, 0)))));
   }
@@ -146,6 +151,7 @@ void StageNodes::place_rates(const Stages& stages) {
   const int S = stages.padded();
   const GaussTable& table = stages.table();
   MatX none(tree_->nv, 2 * slides_);
+  VecX no_drift(2 * slides_);
   phi_.resize(rows_ - fixed_);
   for (int i = 0; i < stages_; ++i) {
     for (int d = 0; d < tree_->nv; ++d) {
@@ -155,7 +161,8 @@ void StageNodes::place_rates(const Stages& stages) {
       X_stage_[d] = h_ * sum;
     }
     integrate(*tree_, q0_, X_stage_, 1.0, q_stage_);
-    phase_->place(stages_ + 1 + i, q_stage_, phi_, rolls_[static_cast<std::size_t>(i)], none);
+    phase_->place(stages_ + 1 + i, q_stage_, t0_ + table.c[i] * h_,
+                  {phi_, rolls_[static_cast<std::size_t>(i)], none, roll_rates_.col(i), no_drift});
   }
 }
 

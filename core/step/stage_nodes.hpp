@@ -29,6 +29,7 @@ class StageNodes {
     MatX along, across;
     MatX chart_W, chart_F, chart_across;  // by the chart at the start of the step
     VecX slip_across;                     // velocities
+    VecX drift;                           // of surfaces that move along themselves, along the tangents T, (2 slides,)
     Placements at;
     MotionValues motions;  // at t
     explicit Node(const Tree& tree);
@@ -65,12 +66,14 @@ class StageNodes {
   MatX lambda_;              // (m, s + 1)
   MatX angles_, slips_;      // (slides, s + 1)
   std::vector<MatX> rolls_;  // per stage: W of all rows of the phase there, (nv, count)
+  MatX roll_rates_;          // of them, velocities of surfaces that move along themselves, (count, s)
 
  private:
   void resize();
   void to_chart(const Node& node, const MatX& from, MatX& to) const;
   void place_rates(const Stages& stages);
 
+  double t0_ = 0.0;
   VecX q_stage_, X_stage_, phi_;
 };
 

@@ -286,3 +286,15 @@ def test_a_run_goes_on_with_the_same_digits():
     for _ in range(5):
         other.step()
     assert (other.q == whole.q[-1]).all()
+
+
+def test_turntable_takes_the_spin_along():
+    """The spin is counted from that of the surface: a ball at rest on a turntable is turned until it turns along."""
+    drill, turn = 0.002, 3.0
+    scene, q = ball(spinning_radius=drill)
+    scene.set_surface_velocity("ground", angular=(0.0, 0.0, turn))
+    traj = cvi.simulate(scene, q, np.zeros(6), 0.8, 0.01, order=2)
+    rate, stop, _ = spin_down(turn, 0.3, drill, RADIUS)
+    before = traj.t < stop - 1e-9
+    assert traj.v[before, 5] == pytest.approx(rate * traj.t[before], abs=1e-10)
+    assert traj.v[traj.t > stop + 0.01, 5] == pytest.approx(turn, abs=1e-12)
