@@ -112,7 +112,11 @@ def scene_to_dict(
             *elements.missing,
             *(element.name for element in elements.elements if not element.storable),
             *(f"the law of contact of {built.pairs[places[0]]}" for law, places in built.laws if not law.storable),
-            *(f"the surface velocity of {name}" for name, motion in built.surface_motions.items() if not motion.storable),
+            *(
+                f"the surface velocity of {name}"
+                for name, motion in built.surface_motions.items()
+                if not motion.storable
+            ),
             *(target_name(name) for name, goal in arrays.targets.items() if not goal.storable),
         ],
         "parts": {

@@ -51,9 +51,7 @@ class SurfaceMotion:
     def words(self) -> str:
         """Return it as text."""
         parts = [
-            f"{size} {unit}"
-            for size, unit in ((list(self.linear), "m/s"), (list(self.angular), "rad/s"))
-            if any(size)
+            f"{size} {unit}" for size, unit in ((list(self.linear), "m/s"), (list(self.angular), "rad/s")) if any(size)
         ]
         return " and ".join(parts) + (" times a function of the time" if self.profile is not None else "")
 
