@@ -44,6 +44,7 @@ class FileData:
         surface_velocities: linear [m/s] and angular [rad/s] ones, (3,) each, of geometries whose surfaces move along
             themselves, by the file's names.
         adhesion: of pairs [N], by the file's names.
+        turning: radii of friction against spinning and rolling [m], as `contact`.
         limit_restitution: restitution of the limits of joints, None: the scene's.
         configurations: q (nq,) and v (nv,) of the part by name: keyframes, reference poses.
     """
@@ -54,6 +55,7 @@ class FileData:
     contact: dict[tuple[str, ...], tuple[float, float | None]] = field(default_factory=dict)
     surface_velocities: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     adhesion: dict[tuple[str, str], float] = field(default_factory=dict)
+    turning: dict[tuple[str, ...], tuple[float, float]] = field(default_factory=dict)
     limit_restitution: float | None = None
     configurations: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 

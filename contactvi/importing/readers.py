@@ -147,6 +147,7 @@ def import_mjcf(
     actuators: Any = True,
     restitution: Any = 0.0,
     allow: Any = (),
+    turning_friction: Any = False,
 ) -> Part:
     """Return the part of an MJCF; arguments as in Scene.add_mjcf, gravity [m/s^2] is the scene's.
 
@@ -160,8 +161,15 @@ def import_mjcf(
         part = part_of(
             opened,
             Choices(
-                prefix, placement, gravity, flag("equality", equality), flag("actuators", actuators), restitution, kinds
-            ),
+                prefix,
+                placement,
+                gravity,
+                flag("equality", equality),
+                flag("actuators", actuators),
+                restitution,
+                kinds,
+                flag("turning_friction", turning_friction),
+            ),  # fmt: skip
             hulls,
         )
         report.prefix_names(prefix)

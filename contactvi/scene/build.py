@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.element import Element
+from contactvi.errors import SceneError
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
 from contactvi.scene.compliance import compliance_rows
@@ -183,10 +184,17 @@ def build(
     restitution, friction = (np.array(rule.values(names, chosen)) for rule in (contact.restitution, contact.friction))
     for law, places in laws:
         if law.restitution_of_speed is not None:
-            restitution[places] = law.restitution_of_speed.at(1.0)
+            restitution[places] = law.restitution_of_speed.at(1.0, "a law of restitution")
         if law.friction_of_speed is not None:
-            friction[places] = law.friction_of_speed.at(0.0)
+            friction[places] = law.friction_of_speed.at(0.0, "a law of friction")
         check_friction(law, friction[places], tested_pairs[places[0]])
+        if law.turning and not friction[places].all():
+            a, b = tested_pairs[places[int(np.argmin(friction[places]))]]
+            raise SceneError(
+                f"The contact of {a!r} and {b!r} has friction against spinning or rolling, but none against slip",
+                expected="friction > 0", got="friction 0",
+                remedy=f"scene.set_contact({a!r}, {b!r}, friction=...), or spinning_radius=0, rolling_radius=0",
+            )  # fmt: skip
     return Built(
         model,
         collision,

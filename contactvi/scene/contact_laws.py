@@ -59,6 +59,8 @@ class PairLaw:
         impact_process: "two-phase", or "incremental": an impact of one point is followed through its impulse.
         limit_energy: whether restitution is lowered where it would make energy.
         tangential_restitution: of the slip, where friction holds it, in [0, 1].
+        spinning_radius: [m] of the friction of a point against spinning about its normal; 0: none.
+        rolling_radius: [m] of that against rolling.
         restitution_of_speed: coefficient by the closing speed, instead of the pair's number.
         static_friction: coefficient of what sticks; None: as of what slides.
         friction_of_speed: coefficient by the speed of the slip, instead of the pair's number.
@@ -71,6 +73,8 @@ class PairLaw:
     impact_process: str = "two-phase"
     limit_energy: bool = True
     tangential_restitution: float = 0.0
+    spinning_radius: float = 0.0
+    rolling_radius: float = 0.0
     restitution_of_speed: NumberFunction | None = None
     static_friction: float | None = None
     friction_of_speed: NumberFunction | None = None
@@ -100,6 +104,8 @@ class PairLaw:
             "axis_of": -1 if axis is None else pair.index(axis.geometry),
             "axis": np.zeros(3) if axis is None else np.array(axis.axis),
             "shares": np.ones(2) if axis is None else np.array(axis.shares),
+            "spinning": self.spinning_radius,
+            "rolling": self.rolling_radius,
         }
 
     def varies(self, kind: str) -> bool:
@@ -120,6 +126,30 @@ class PairLaw:
     def followed(self) -> bool:
         """Whether impacts of one point are followed through their impulse."""
         return self.impact_process == "incremental" or self.restitution_law == "energetic"
+
+    @property
+    def turning(self) -> bool:
+        """Whether there is friction against spinning or rolling."""
+        return self.spinning_radius > 0.0 or self.rolling_radius > 0.0
+
+    def check(self, a: str, b: str) -> None:
+        """Raise SceneError where the settings of the pair of a and b do not go together."""
+        if self.tangential_restitution > 0.0 and self.followed:
+            raise SceneError(
+                f"The impact of {a!r} and {b!r} is followed, and has no tangential restitution",
+                expected="impact_process='two-phase', restitution_law='poisson' or 'newton'",
+                got=f"{self.impact_process!r}, {self.restitution_law!r}",
+                remedy=f"scene.set_contact({a!r}, {b!r}, tangential_restitution=0), or the other process and law",
+            )
+        if self.turning and (self.followed or self.tangential_restitution > 0.0):
+            raise SceneError(
+                f"The contact of {a!r} and {b!r} has friction against spinning or rolling, with which this law of "
+                "restitution is not known",
+                expected="impact_process='two-phase', restitution_law='poisson' or 'newton', tangential_restitution=0",
+                got=self.words(),
+                remedy=f"scene.set_contact({a!r}, {b!r}, spinning_radius=0, rolling_radius=0), or the other process "
+                "and law",
+            )
 
     def words(self) -> str:
         """Return what is not the default as text."""
@@ -151,7 +181,8 @@ def _words(name: str, value: Any) -> str:
     if isinstance(value, FrictionAxis):
         axis = ", ".join(f"{x:g}" for x in value.axis)
         return f"friction {value.along:g} along ({axis}) of {value.geometry!r} and {value.across:g} across"
-    for ending, of in (("_of_speed", "the speed"), ("_of_time", "the time")):
+    speed = "the closing speed" if name.startswith("restitution") else "the speed of the slip"
+    for ending, of in (("_of_speed", speed), ("_of_time", "the time")):
         if name.endswith(ending):
             return f"{name.removesuffix(ending)} by {of}"
     return f"{name.replace('_', ' ')} {value}"
@@ -177,14 +208,14 @@ def checked_setting(name: str, value: Any) -> Any:
             return value
         case "limit_energy":
             return flag(name, value)
-        case "static_friction" | "adhesion":
+        case "static_friction" | "adhesion" | "spinning_radius" | "rolling_radius":
             return real(name, value, 0.0)
     return real(name, value, 0.0, 1.0)  # tangential_restitution
 
 
-def _is_function(value: Any) -> bool:
-    """Whether a coefficient is a table or a function, and not a number or a pair of numbers."""
-    return callable(value) or np.ndim(value) > 1
+def _is_function(value: Any, dimensions: int) -> bool:
+    """Whether a coefficient is a function or a table, which has these dimensions at least."""
+    return callable(value) or np.ndim(value) >= dimensions
 
 
 def checked_contact(
@@ -202,7 +233,7 @@ def checked_contact(
     """
     numbers: dict[str, float] = {}
     laws = {name: checked_setting(name, value) for name, value in settings.items() if value is not None}
-    if _is_function(restitution):
+    if _is_function(restitution, 1):
         laws["restitution_of_speed"] = number_function("restitution", restitution, 0.0, 1.0)
     elif restitution is not None:
         numbers["restitution"] = real("restitution", restitution, 0.0, 1.0)
@@ -211,14 +242,14 @@ def checked_contact(
     if np.ndim(friction) == 1 or friction_axis is not None:
         laws["friction_axis"] = _friction_axis(first, friction, friction_axis)
         numbers["friction"] = max(laws["friction_axis"].along, laws["friction_axis"].across)
-    elif _is_function(friction):
+    elif _is_function(friction, 2):
         laws["friction_of_speed"] = number_function("friction", friction, 0.0, np.inf)
     elif friction is not None:
         numbers["friction"] = real("friction", friction, 0.0)
         for name in ("friction_of_speed", "friction_axis", "static_friction"):
             if name in rules.rules and name not in laws:
                 laws[name] = None
-    if callable(adhesion) or np.ndim(adhesion) > 0:
+    if _is_function(adhesion, 1):
         laws["adhesion_of_time"] = number_function("adhesion", adhesion, 0.0, np.inf, "s")
     elif adhesion is not None:
         laws["adhesion"] = real("adhesion", adhesion, 0.0)
@@ -285,13 +316,7 @@ class LawRules:
         plain = PairLaw()
         for k, (a, b) in enumerate(names):
             law = PairLaw(**{name: rule.value(a, b) for name, rule in self.rules.items()})
-            if law.tangential_restitution > 0.0 and law.followed:
-                raise SceneError(
-                    f"The impact of {a!r} and {b!r} is followed, and has no tangential restitution",
-                    expected="impact_process='two-phase', restitution_law='poisson' or 'newton'",
-                    got=f"{law.impact_process!r}, {law.restitution_law!r}",
-                    remedy=f"scene.set_contact({a!r}, {b!r}, tangential_restitution=0), or the other process and law",
-                )
+            law.check(a, b)
             if law != plain:
                 found.setdefault(law, []).append(k)
         return list(found.items())
@@ -299,6 +324,12 @@ class LawRules:
 
 def check_friction(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) -> None:
     """Raise SceneError where a pair with a law of friction has none where it begins to slide, or less at rest."""
+    if law.turning and law.rubs:
+        raise SceneError(
+            f"The contact of {pair[0]!r} and {pair[1]!r} has friction against spinning or rolling beside another law",
+            expected="one coefficient of friction", got="friction by the slip, by its direction or at rest",
+            remedy=f"scene.set_contact({pair[0]!r}, {pair[1]!r}, friction=...), or spinning_radius=0, rolling_radius=0",
+        )  # fmt: skip
     if not law.rubs:
         return
     least, rest = float(np.min(friction)), law.static_friction

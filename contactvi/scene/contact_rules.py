@@ -44,6 +44,9 @@ class ContactRules:
         for name, (linear, angular) in part.data.surface_velocities.items():
             motion = SurfaceMotion.checked(linear, angular, None)
             self.surface_motions.setdefault(part.prefix + name, motion)
+        for names, radii in part.data.turning.items():
+            for setting, radius in zip(("spinning_radius", "rolling_radius"), radii, strict=True):
+                self.laws.rule(setting).set_from_file([part.prefix + name for name in names], radius)
 
     def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
         """Switch off all pairs of one of `first` and one of `second`."""

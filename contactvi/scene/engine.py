@@ -74,8 +74,10 @@ def make_engine_scene(
             RoundedHulls(),
         )
         for law, places in laws:
-            a, b = (collision.geometryObjects[int(k)].name for k in pairs[places[0]])
-            scene.set_contact_law(places, **law.engine((a, b)))
+            # An axis of friction is the first geometry's in some pairs and the second one's in others.
+            for group in [places] if law.friction_axis is None else [[place] for place in places]:
+                a, b = (collision.geometryObjects[int(k)].name for k in pairs[group[0]])
+                scene.set_contact_law(group, **law.engine((a, b)))
         for name, surface in surfaces.items():
             number = collision.getGeometryId(name)
             scene.set_surface(

@@ -21,8 +21,8 @@ class NumberTable:
     values: tuple[float, ...]
     storable = True
 
-    def at(self, place: float) -> float:
-        """Return the number at a place."""
+    def at(self, place: float, name: str = "") -> float:
+        """Return the number at a place; `name` is for messages."""
         return float(np.interp(place, self.places, self.values))
 
     def engine(self, name: str) -> Any:
@@ -44,9 +44,9 @@ class NumberCallable:
     unit: str
     storable = False
 
-    def at(self, place: float) -> float:
-        """Return the number at a place."""
-        return self._value("a function of a contact", place)
+    def at(self, place: float, name: str) -> float:
+        """Return the number at a place; `name` is for the messages of what goes wrong in the function."""
+        return self._value(name, place)
 
     def engine(self, name: str) -> Any:
         """Return it as the engine takes it; `name` is for the messages of what goes wrong in it."""

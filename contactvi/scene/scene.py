@@ -199,6 +199,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         restitution: float | str | None = 0.0,
         self_collision: bool = True,
         allow: Sequence[str] = (),
+        turning_friction: bool = False,
     ) -> PartHandle:
         """Add an MJCF, compiled by MuJoCo (needs `pip install "contactvi[mjcf]"`). The rest as in add_urdf.
 
@@ -215,12 +216,14 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
                 `set_contact`.
             allow: deformable bodies are refused (SceneError); ("flex",) takes the vertices of each <flex> and
                 <flexcomp> as loose bodies, without elasticity and contact surface.
+            turning_friction: whether contacts of condim 4 and 6 have the file's torsional and rolling friction
+                (`set_contact`: spinning_radius = torsional / sliding, rolling_radius = rolling).
         """
         where = pose("placement", placement)
         opened = path if isinstance(path, MjcfFile) else open_mjcf(path)
         part = import_mjcf(
             opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
-            restitution=restitution, allow=allow,
+            restitution=restitution, allow=allow, turning_friction=turning_friction,
         )  # fmt: skip
         return self.add_model(part, limits, friction, self_collision)
 

@@ -39,6 +39,8 @@ class SceneContacts:
         impact_process: str | None = None,
         limit_energy: bool | None = None,
         tangential_restitution: float | None = None,
+        spinning_radius: float | None = None,
+        rolling_radius: float | None = None,
     ) -> None:
         """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts, by default 0.5 and 0, and their laws.
 
@@ -72,6 +74,13 @@ class SceneContacts:
                 column fallback of the events says "gain" where it would, in both cases.
             tangential_restitution: in [0, 1], by default 0: where friction holds the point in the impact, its slip is
                 reversed with this coefficient (Walton 1993).
+            spinning_radius: r_s >= 0 [m], by default 0: friction of a point against spinning about its normal. The
+                tangential force and the torque about the normal over r_s lie together in the ball of radius
+                friction times normal force (Leine and Glocker 2003), so that a pure spin meets a torque of
+                friction r_s times normal force.
+            rolling_radius: r_r >= 0 [m], by default 0: friction against rolling, a torque along the tangents of at
+                most r_r times the normal force. Both radii need friction > 0; scenes with them know no dense steps
+                and no derivatives.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -81,7 +90,8 @@ class SceneContacts:
         numbers, laws = checked_contact(
             rules.laws, first, restitution, friction, friction_axis, adhesion, static_friction=static_friction,
             restitution_law=restitution_law, impact_process=impact_process, limit_energy=limit_energy,
-            tangential_restitution=tangential_restitution,
+            tangential_restitution=tangential_restitution, spinning_radius=spinning_radius,
+            rolling_radius=rolling_radius,
         )  # fmt: skip
         for what, value in numbers.items():
             rule = rules.restitution if what == "restitution" else rules.friction

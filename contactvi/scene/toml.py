@@ -7,7 +7,8 @@
                             friction = false, mimic = true, armature = number | { joint = number },
                             self_collision = true, contact_friction = false
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
-                            restitution = 0 | number | "solref", self_collision = true, allow = [] | ["flex"]
+                            restitution = 0 | number | "solref", self_collision = true, allow = [] | ["flex"],
+                            turning_friction = false
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[ellipsoid]]           name, radii, ...
@@ -165,7 +166,9 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         _add_model(scene, part, entry)
     elif section == "mjcf":
         options = {
-            key: entry[key] for key in ("prefix", "equality", "actuators", "restitution", "allow") if key in entry
+            key: entry[key]
+            for key in ("prefix", "equality", "actuators", "restitution", "allow", "turning_friction")
+            if key in entry
         }
         opened = open_mjcf(entry["path"], folder)
         part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)

@@ -59,6 +59,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         "restitution",
         "self_collision",
         "allow",
+        "turning_friction",
         *_PLACE,
     ),
     "sphere": ("radius", *_BODY),

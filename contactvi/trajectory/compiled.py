@@ -17,6 +17,7 @@ from contactvi.errors import (
     ConstraintError,
     DerivativeError,
     InputError,
+    NotDifferentiable,
     SceneError,
     UntestedPairWarning,
     UserFunctionError,
@@ -170,6 +171,16 @@ class CompiledScene:
         )
 
     @cached_property
+    def turning_pair(self) -> tuple[str, str] | None:
+        """A pair with friction against spinning or rolling."""
+        return next((self.built.pairs[places[0]] for law, places in self.built.laws if law.turning), None)
+
+    @cached_property
+    def adhesive_pair(self) -> tuple[str, str] | None:
+        """A pair whose surfaces pull at each other."""
+        return next((self.built.pairs[places[0]] for law, places in self.built.laws if law.adheres), None)
+
+    @cached_property
     def forced(self) -> bool:
         """Whether something besides potentials and joint damping acts: then a step is not made again without it."""
         found, arrays = self.built.elements, self.built.arrays
@@ -246,8 +257,15 @@ class CompiledScene:
         """Raise for what is known before a run to have no derivative.
 
         Raises:
-            DerivativeError: a function of the user came without derivatives.
+            DerivativeError: a function of the user came without derivatives. NotDifferentiable: a pair has friction
+                against spinning or rolling.
         """
+        if self.turning_pair is not None:
+            raise NotDifferentiable(
+                "Friction against spinning or rolling has no derivative that is known", reason="friction",
+                pair=self.turning_pair, expected="pairs without it", got="spinning_radius or rolling_radius > 0",
+                remedy="Set both radii to 0 with scene.set_contact, or use finite differences",
+            )  # fmt: skip
         for element in self._scene.elements:
             given = element.derivatives if isinstance(element, UserForce) else True
             given = element.hessian if isinstance(element, UserPotential) else given

@@ -1,4 +1,4 @@
-"""Cases of laws of contact: restitution of three kinds, impacts followed through their impulse, a super ball."""
+"""Cases of laws of contact: restitution of three kinds, impacts followed through their impulse, rolling, spinning."""
 
 from __future__ import annotations
 
@@ -172,7 +172,75 @@ def ball_on_waves(runs: Runs) -> list[Check]:
     return checks
 
 
+def spinning_down(runs: Runs) -> list[Check]:
+    """A ball that spins on its point: the torque is mu r_s N, and it stands still when it has stopped."""
+    radius, drill, mu, spin = 0.05, 0.002, 0.3, 3.0
+    scene, q = _turning_ball(radius, mu, drill, 0.0)
+    traj = runs.simulate(scene, q, [0.0, 0.0, 0.0, 0.0, 0.0, spin], 0.8, 0.01, order=2)
+    rate = mu * 9.81 * drill / (0.4 * radius**2)
+    (stop,) = (change.time for change in traj.contact_changes if change.change == "stick")
+    angle = 2.0 * math.atan2(traj.q[-1, 5], traj.q[-1, 6])
+    return [
+        near("stop [s]", spin / rate, stop, 1e-9, "the torque is constant"),
+        near("angle [rad]", spin**2 / (2.0 * rate), angle, 1e-9, "the torque is constant"),
+        at_most("speed afterwards", 1e-12, float(np.abs(traj.v[-1]).max()), "rounding"),
+    ]
+
+
+def rolling_to_a_stop(runs: Runs) -> list[Check]:
+    """A ball that rolls: it is slowed by g r_r / (1.4 r), and stands still when it has stopped."""
+    radius, rolling, speed = 0.05, 0.001, 0.05
+    scene, q = _turning_ball(radius, 0.3, 0.0, rolling)
+    traj = runs.simulate(scene, q, [speed, 0.0, 0.0, 0.0, speed / radius, 0.0], 0.6, 0.01, order=2)
+    slowing = rolling * 9.81 / (1.4 * radius)
+    return [
+        near("distance [m]", speed**2 / (2.0 * slowing), traj.q[-1, 0], 1e-9, "the torque is constant"),
+        at_most("speed afterwards", 1e-12, float(np.abs(traj.v[-1]).max()), "rounding"),
+    ]
+
+
+def _turning_ball(radius: float, mu: float, spinning: float, rolling: float) -> tuple[Scene, np.ndarray]:
+    """A ball of 1 kg that touches the ground, with radii of friction; scene and q."""
+    scene = Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", radius)
+    scene.set_contact(restitution=0.0, friction=mu, spinning_radius=spinning, rolling_radius=rolling)
+    return scene, np.array([0.0, 0.0, radius, 0.0, 0.0, 0.0, 1.0])
+
+
+def tippe_top(runs: Runs) -> list[Check]:
+    """The tippe top of Leine and Glocker rises by its drilling friction; by events that DOP853 locates."""
+    dt = 2e-4
+    scene, q = _tippe_top()
+    coarse, fine = (
+        runs.simulate(scene, q, [0.0, 0.0, 0.0, 0.0, 0.0, 180.0], 0.5, h, order=2).q[-1, 3:7] for h in (2.0 * dt, dt)
+    )
+    theta = [math.acos(1.0 - 2.0 * (x**2 + y**2)) for x, y, _, _ in (coarse, fine)]
+    found = (4.0 * theta[1] - theta[0]) / 3.0
+    return [near("inclination after .5 s [rad]", 0.5180101458, found, 2e-4, "extrapolated from steps of order 2")]
+
+
+def _tippe_top() -> tuple[Scene, np.ndarray]:
+    """A body of two spheres, of which the large one touches the ground, 0.1 rad inclined; scene and q."""
+    joint = pin.JointModelFreeFlyer()
+    model = systems.empty_model(9.81)
+    body = model.addJoint(0, joint, pin.SE3.Identity(), "top")
+    model.appendBodyToJoint(body, pin.Inertia(6e-3, np.zeros(3), np.diag([8e-7, 8e-7, 7e-7])), pin.SE3.Identity())
+    shapes = {
+        "ground": (0, systems.place(), systems.halfspace(0.0, 0.0, 1.0)),
+        "body": (body, systems.place(0.0, 0.0, 0.003), coal.Sphere(0.015)),
+        "stem": (body, systems.place(0.0, 0.0, 0.016), coal.Sphere(0.005)),
+    }
+    scene = systems.built(model, shapes, [("ground", "body"), ("ground", "stem")], 0.0, 0.3)
+    scene.set_contact(spinning_radius=3.0 * math.pi / 16.0 * 5e-4)
+    tilt = pin.Quaternion(pin.exp3(np.array([0.1, 0.0, 0.0]))).coeffs()
+    return scene, np.array([0.0, 0.0, 0.015 - 0.003 * math.cos(0.1), *tilt])
+
+
 CASES = (
+    Case("spinning-down", "a ball that spins on its point is stopped by drilling friction", spinning_down),
+    Case("rolling-to-a-stop", "a ball that rolls is stopped by rolling friction", rolling_to_a_stop),
+    Case("tippe-top", "the tippe top of Leine and Glocker, friction of slip and spin in one ellipsoid", tippe_top),
     Case("super-ball", "a ball that grips the ground, with tangential restitution", super_ball),
     Case("oblique-rod", "Routh's oblique impact of a rod, the slip turns back", oblique_rod),
     Case("pendulum-on-ground", "Kane and Levinson's double pendulum, three laws of restitution", pendulum_on_ground),

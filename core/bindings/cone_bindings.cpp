@@ -69,6 +69,31 @@ Solution solve(const MatX& G, const VecX& b, const IndexVector& rows, const VecX
   return {lambda, r.ok, r.residual, r.iterations, r.fallbacks};
 }
 
+// rolling (n,), 0: no such rows; frozen (n, 5): directions of slip, spin and rolling, or NaN.
+Solution solve_turning(const MatX& G, const VecX& b, const IndexVector& rows, const VecX& mu, const VecX& rolling,
+                       const VecX& lower, const std::optional<MatX>& frozen, const std::optional<VecX>& start,
+                       bool regularize) {
+  std::vector<ConeContact> contacts = contacts_of(rows, mu, lower, std::nullopt, std::nullopt);
+  const auto n = static_cast<Eigen::Index>(contacts.size());
+  if (rolling.size() != n || (frozen && (frozen->rows() != n || frozen->cols() != 5)))
+    throw Error("expected rolling (n,), frozen (n, 5) or None for n contacts");
+  for (Eigen::Index i = 0; i < n; ++i) {
+    ConeContact& c = contacts[static_cast<std::size_t>(i)];
+    c.rolling = rolling[i];
+    c.spins = c.rows == 4 || c.rows == 6;
+    if (!frozen) continue;
+    c.frozen = !std::isnan((*frozen)(i, 0));
+    if (c.frozen) c.d = frozen->row(i).head<2>();
+    if (c.frozen && c.spins) c.d_spin = (*frozen)(i, 2);
+    c.frozen_rolling = !std::isnan((*frozen)(i, 3));
+    if (c.frozen_rolling) c.d_rolling = frozen->row(i).tail<2>();
+  }
+  VecX lambda = start_of(start, b.size());
+  ConeSolver solver;
+  const ConeResult r = solver.solve({contacts, G, b}, lambda, regularize);
+  return {lambda, r.ok, r.residual, r.iterations, r.fallbacks};
+}
+
 // Seconds per call, of the fastest of several blocks; each call starts from `start` again.
 double seconds(const MatX& G, const VecX& b, const IndexVector& rows, const VecX& mu, const VecX& lower,
                const std::optional<Directions>& frozen, const std::optional<VecX>& start, bool regularize, int calls,
@@ -314,6 +339,11 @@ void expose_cone(nb::module_& m) {
         "below which no other starts are tried, box (n,) [N s] > 0 for rows of joint friction. Returns (lambda (m,) [N "
         "s], ok, relative residual, Newton iterations, "
         "fallbacks).");
+  m.def("solve_turning_cone", &solve_turning, "G"_a, "b"_a, "rows"_a, "mu"_a, "rolling"_a, "lower"_a,
+        "frozen"_a = nb::none(), "start"_a = nb::none(), "regularize"_a = true,
+        "As solve_cone, with spinning and rolling friction: rows[i] = 1 or 3, and one more (spin), two more (roll1, "
+        "roll2) or both; rolling (n,) coefficients, 0 without such rows; frozen (n, 5) directions of slip, spin and "
+        "rolling (NaN: free).");
   m.def("cone_seconds", &seconds, "G"_a, "b"_a, "rows"_a, "mu"_a, "lower"_a, "frozen"_a = nb::none(),
         "start"_a = nb::none(), "regularize"_a = true, "calls"_a = 100, "repeats"_a = 5, "box"_a = nb::none(),
         "Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.");

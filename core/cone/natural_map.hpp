@@ -5,6 +5,7 @@
 //   F_t = lambda_t - P(lambda_t - r_t w_t),   P: projection onto the disc of radius mu rho
 //   F_t = lambda_t + mu rho d                 frozen
 //
+// and likewise for rolling. With a row of spinning F_t has three components, and P is the projection onto a ball.
 // F = 0 is the law, for any positive r; here 1/r is the contact's own diagonal of G, so that F/r is a velocity.
 #pragma once
 
@@ -21,8 +22,11 @@ struct ConeMode {
   bool closed = false;  // normal: the equation is w_n = 0, else lambda_n = bound
   double bound = 0.0;   // lower, or an end of the box
   TangentMode tangent = TangentMode::kNone;
-  Eigen::Vector2d e = Eigen::Vector2d::Zero();  // slip: unit vector along lambda_t - r_t w_t
-  double beta = 1.0;                            // slip: mu rho / |lambda_t - r_t w_t|
+  Vec3 e = Vec3::Zero();  // slip: unit vector along lambda_t - r_t w_t; third: spinning
+  double beta = 1.0;      // slip: mu rho / |lambda_t - r_t w_t|
+  TangentMode rolling = TangentMode::kNone;
+  Vec3 e_rolling = Vec3::Zero();
+  double beta_rolling = 1.0;
 };
 
 class NaturalMap {
@@ -41,7 +45,9 @@ class NaturalMap {
   void evaluate(const ConeProblem& problem, const double* lambda, const double* w);
 
   const ConeMode& mode(int contact) const { return modes_[contact]; }
+  double normal_scale(int contact) const { return normal_[contact]; }
   double tangent_scale(int contact) const { return tangent_[contact]; }
+  double rolling_scale(int contact) const { return rolling_[contact]; }
   // Sum of F_n^2/r_n + |F_t|^2/r_t [J].
   double merit() const { return merit_; }
   // Largest |F/r| of a contact over the size of the terms it is the sum of, the relative backward error; at least 1e-4
@@ -51,8 +57,15 @@ class NaturalMap {
   bool touching() const { return touching_; }
 
  private:
-  std::vector<double> normal_, tangent_, shift_;  // 1/r_n, 1/r_t, eps per contact
-  std::vector<double> size_;                      // per row
+  struct Error {  // of one contact
+    double worst, size;
+  };
+  template <int N>
+  TangentMode ball(double radius, double scale, bool frozen, const double* d, const double* lambda, const double* w,
+                   Vec3& e, double& beta, Error& error);
+
+  std::vector<double> normal_, tangent_, rolling_, shift_;  // 1/r_n, 1/r_t, that of rolling, eps per contact
+  std::vector<double> size_;                                // per row
   std::vector<ConeMode> modes_;
   double energy_ = 0.0, merit_ = 0.0, residual_ = 0.0;
   double shift_times_ = 0.0;

@@ -15,8 +15,9 @@ constexpr double kContracts = 0.1;  // share of the residual that a step with an
 constexpr int kHalvings = 12;       // of a Newton step in its line search
 
 bool slips(const ConeProblem& problem, const NaturalMap& map) {
+  const auto slips = [](TangentMode mode) { return mode == TangentMode::kSlip || mode == TangentMode::kFrozen; };
   for (int i = 0; i < static_cast<int>(problem.contacts.size()); ++i)
-    if (map.mode(i).tangent == TangentMode::kSlip || map.mode(i).tangent == TangentMode::kFrozen) return true;
+    if (slips(map.mode(i).tangent) || slips(map.mode(i).rolling)) return true;
   return false;
 }
 
@@ -31,13 +32,64 @@ void ConeNewton::reserve(int rows) {
   for (auto* v : {&w_, &next_, &next_w_, &trial_, &trial_w_, &product_, &delta_, &weight_}) v->resize(rows);
 }
 
+// The unknowns of friction of one kind, of N rows, of which the first is old[0]; x: where next_ has it. ray: its
+// direction per unit of the normal impulse, where it has one.
+template <int N>
+void ConeNewton::add_ball(const Ball& ball, double normal, const double* old, double* x, double* ray) {
+  constexpr int before = 3 - N;  // rows between that from which an unknown counts and the first of friction
+  const double friction = ball.mu * normal;
+  switch (ball.mode) {
+    case TangentMode::kStick:
+      for (int k = 0; k < N; ++k) {
+        Unknown& u = unknowns_[count_++] = {ball.contact, ball.row - before, 3, {}, {}, 0.0, before + k};
+        u.column[before + k] = u.test[before + k] = 1.0;
+        x[k] = old[k];
+      }
+      break;
+    case TangentMode::kSlip: {
+      const Vec3& e = *ball.e;
+      for (int k = 0; k < N; ++k) {
+        ray[k] = ball.mu * e[k];
+        x[k] = friction * e[k];
+      }
+      Vec3 t[2] = {Vec3(-e[1], e[0], 0.0), Vec3::Zero()};
+      if (N == 3) {
+        t[0] = e.unitOrthogonal();
+        t[1] = e.cross(t[0]);
+      }
+      for (int j = 0; j < N - 1; ++j) {
+        double tau = t[j][0] * old[0] + t[j][1] * old[1];
+        if (N == 3) tau += t[j][2] * old[2];
+        delta_[count_] = tau;
+        Unknown& u =
+            unknowns_[count_++] = {ball.contact, ball.row - before, 3, {}, {}, (1.0 - ball.beta) * ball.scale, -1};
+        for (int k = 0; k < N; ++k) {
+          u.column[before + k] = t[j][k];
+          u.test[before + k] = ball.beta * t[j][k];
+          x[k] += tau * t[j][k];
+        }
+      }
+      break;
+    }
+    case TangentMode::kFrozen:
+      for (int k = 0; k < N; ++k) {
+        ray[k] = -ball.mu * ball.d[k];
+        x[k] = -friction * ball.d[k];
+      }
+      break;
+    default:
+      std::fill_n(x, N, 0.0);
+  }
+}
+
 // Writes the step as unknowns and equations. next_ becomes a point that obeys what the modes fix (an open contact's
 // normal impulse, the direction of slip) and is lambda (or zero) elsewhere; the unknowns lead from it to the step's
 // end. A slipping contact has two:
 //   normal   w_n = 0 along (1, mu e);   across e   (1 - beta) r_t^-1 tau + beta t.w = 0, tau = t.lambda_t
-// (Alart-Curnier's derivative with the first equation inserted).
+// (Alart-Curnier's derivative with the first equation inserted); one more across e with spinning, and rolling has those
+// of a slip of its own.
 void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing) {
-  static constexpr double kNothing[3] = {0.0, 0.0, 0.0};
+  static constexpr double kNothing[6] = {};
   count_ = 0;
   int i = 0;
   for (const ConeContact& c : problem.contacts) {
@@ -45,47 +97,22 @@ void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const 
     double* x = next_.data() + c.row;
     const double* old = from_nothing ? kNothing : lambda + c.row;
     x[0] = mode.closed ? old[0] : mode.bound;
-    Unknown normal{i, c.row, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, 0.0, 0};
-    if (c.rows == 3) {
-      const double friction = c.mu * x[0];
-      double tau = 0.0;
-      Eigen::Vector2d ray = Eigen::Vector2d::Zero();
-      const Eigen::Vector2d t(-mode.e[1], mode.e[0]);
-      switch (mode.tangent) {
-        case TangentMode::kStick:
-          for (int k : {1, 2}) {
-            Unknown& u = unknowns_[count_++] = {i, c.row, 3, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0, k};
-            u.column[k] = u.test[k] = 1.0;
-            x[k] = old[k];
-          }
-          break;
-        case TangentMode::kSlip:
-          tau = t[0] * old[1] + t[1] * old[2];
-          ray = c.mu * mode.e;
-          delta_[count_] = tau;
-          unknowns_[count_++] = {i,
-                                 c.row,
-                                 3,
-                                 {0.0, t[0], t[1]},
-                                 {0.0, mode.beta * t[0], mode.beta * t[1]},
-                                 (1.0 - mode.beta) * map.tangent_scale(i),
-                                 -1};
-          x[1] = friction * mode.e[0] + tau * t[0];
-          x[2] = friction * mode.e[1] + tau * t[1];
-          break;
-        case TangentMode::kFrozen:
-          ray = -c.mu * c.d;
-          x[1] = -friction * c.d[0];
-          x[2] = -friction * c.d[1];
-          break;
-        default:
-          x[1] = x[2] = 0.0;
-      }
-      if (mode.closed) {
-        normal.rows = 3;
-        normal.column[1] = ray[0];
-        normal.column[2] = ray[1];
-      }
+    Unknown normal{i, c.row, 1, {1.0}, {1.0}, 0.0, 0};
+    if (c.rows > 1) {
+      const double d[3] = {c.d[0], c.d[1], c.d_spin};
+      const Ball ball{i, c.row + 1, mode.tangent, &mode.e, mode.beta, map.tangent_scale(i), c.mu, d};
+      if (c.spins)
+        add_ball<3>(ball, x[0], old + 1, x + 1, normal.column + 1);
+      else
+        add_ball<2>(ball, x[0], old + 1, x + 1, normal.column + 1);
+      normal.rows = c.rows;
+    }
+    if (c.rows > 3 && c.rolling > 0.0) {
+      const int r = c.rolling_row();
+      const Ball ball{
+          i,         c.row + r,         mode.rolling, &mode.e_rolling, mode.beta_rolling, map.rolling_scale(i),
+          c.rolling, c.d_rolling.data()};
+      add_ball<2>(ball, x[0], old + r, x + r, normal.column + r);
     }
     if (mode.closed) unknowns_[count_++] = normal;
     ++i;

@@ -33,15 +33,23 @@ class ConeNewton {
   bool singular() const { return singular_; }  // a singular matrix ended the last run (kStop)
 
  private:
-  // One unknown of a step, delta, and the equation that belongs to it: lambda changes by column * delta in the rows of
-  // its contact, the equation is test . w + diagonal * delta = right side.
+  // One unknown of a step, delta, and the equation that belongs to it: lambda changes by column * delta in `rows` rows
+  // of its contact from `row` on, the equation is test . w + diagonal * delta = right side with three rows from there.
   struct Unknown {
     int contact, row, rows;
-    double column[3], test[3];
+    double column[6], test[3];
     double diagonal;
     int single;  // the only row that is tested, by 1; -1: there are more
-    // Row and part of the law as one number: rows is 1 or 3, single -1 to 2.
-    int kind() const { return 16 * row + 4 * rows + 1 + single; }
+    // Row and part of the law as one number: rows is 1 to 6, single -1 to 2.
+    int kind() const { return 32 * row + 4 * rows + 1 + single; }
+  };
+  // Friction of one kind in a step: its rows begin at `row`, and a unit of the normal impulse has this much of it.
+  struct Ball {
+    int contact, row;
+    TangentMode mode;
+    const Vec3* e;
+    double beta, scale, mu;
+    const double* d;
   };
 
   // How the last matrix was factored, for which shift, and its unknowns.
@@ -52,6 +60,8 @@ class ConeNewton {
   void add_step();
   void remember_unknowns(const NaturalMap& map);
   void right_side();
+  template <int N>
+  void add_ball(const Ball& ball, double normal, const double* old, double* x, double* ray);
   void build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing);
   void assemble(const ConeProblem& problem, const NaturalMap& map);
   bool solve(const ConeProblem& problem, const NaturalMap& map, Singular singular);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "cone/projected_sweeps.hpp"
 #include "cone/single_contact.hpp"
 #include "cone/sweep.hpp"
 
@@ -19,6 +20,21 @@ constexpr double kDisagree = 1e-3;  // residual up to which the direct solution 
 constexpr int kPathIterations = 60;
 constexpr double kPathEnd = 1e-10;
 constexpr int kSweeps = 100;  // of Gauss-Seidel, for where that stalls, too
+// Starts of Newton's method from projected sweeps, and how many of these each has more than the one before.
+constexpr int kProjectedStarts = 12, kProjectedSweeps = 50;
+
+bool turns(const ConeProblem& problem) {
+  return std::any_of(problem.contacts.begin(), problem.contacts.end(), [](const ConeContact& c) { return c.rows > 3; });
+}
+
+// Cuts an impulse of friction of so many rows to its bound.
+void cut(double* x, int rows, double most) {
+  double sum = 0.0;
+  for (int k = 0; k < rows; ++k) sum += x[k] * x[k];
+  const double friction = std::sqrt(sum);
+  if (friction <= most) return;
+  for (int k = 0; k < rows; ++k) x[k] *= most / friction;
+}
 
 }  // namespace
 
@@ -94,10 +110,27 @@ bool ConeSolver::keep_better(double* lambda, int rows) {
   return result_.residual <= kConeTolerance;
 }
 
+// Newton's method from where ever more projected sweeps lead, with spinning or rolling friction.
+bool ConeSolver::rescue_turning(const ConeProblem& problem, bool regularize, double* lambda) {
+  using Singular = ConeNewton::Singular;
+  const int m = static_cast<int>(problem.b.size());
+  std::fill_n(start_.data(), m, 0.0);
+  map_.set_shift(0.0);
+  for (int k = 1; k <= kProjectedStarts; ++k) {
+    projected_sweeps(problem, map_, k * kProjectedSweeps, start_.data());
+    std::copy_n(start_.data(), m, lambda);
+    ++result_.fallbacks;
+    newton_.run(problem, map_, regularize ? Singular::kLeastImpulses : Singular::kMinimumNorm, kIterations, lambda);
+    if (keep_better(lambda, m)) return true;
+  }
+  return false;
+}
+
 // Newton's method from where an interior point method leads, and from where sweeps do.
 bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lambda) {
   using Singular = ConeNewton::Singular;
   const int m = static_cast<int>(problem.b.size());
+  if (turns(problem)) return rescue_turning(problem, regularize, lambda);
   const auto polished = [&] {
     ++result_.fallbacks;
     system_.write(point_, lambda);
@@ -124,7 +157,7 @@ void ConeSolver::clear_open(const ConeProblem& problem, double* lambda) const {
     const ConeContact& c = problem.contacts[i];
     if (c.box > 0.0 || map_.mode(static_cast<int>(i)).closed) continue;
     lambda[c.row] = c.lower;
-    if (c.lower <= 0.0 && c.rows == 3) lambda[c.row + 1] = lambda[c.row + 2] = 0.0;
+    if (c.lower <= 0.0) std::fill_n(lambda + c.row + 1, c.rows - 1, 0.0);
   }
 }
 
@@ -138,10 +171,8 @@ void ConeSolver::keep_in_cones(const ConeProblem& problem, double* lambda) {
     }
     x[0] = std::max(x[0], c.lower);
     if (c.rows == 1) continue;
-    const double friction = std::sqrt(x[1] * x[1] + x[2] * x[2]), most = c.mu * x[0];
-    if (friction <= most) continue;
-    x[1] *= most / friction;
-    x[2] *= most / friction;
+    cut(x + 1, c.friction_rows(), c.mu * x[0]);
+    if (c.rolling > 0.0) cut(x + c.rolling_row(), 2, c.rolling * x[0]);
   }
 }
 
@@ -157,7 +188,8 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     return result_;
   }
   if (!lambda.allFinite()) lambda.setZero();
-  result_.ok = m == 0 || (problem.contacts.size() == 1 && one_contact(problem, lambda.data()));
+  result_.ok = m == 0 || (problem.contacts.size() == 1 && problem.contacts.front().rows <= 3 &&
+                          one_contact(problem, lambda.data()));
   if (!result_.ok) {
     result_.residual = std::numeric_limits<double>::infinity();
     std::fill_n(best_.data(), m, 0.0);

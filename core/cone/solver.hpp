@@ -12,7 +12,8 @@
 namespace contactvi {
 
 // Solves one contact directly, more by Newton's method on the natural map, and where that stalls again from where an
-// interior point method leads, then from where Gauss-Seidel sweeps do. Where the forces are not unique (four corners
+// interior point method leads, then from where Gauss-Seidel sweeps do; with spinning or rolling friction from where
+// projected sweeps do. Where the forces are not unique (four corners
 // on a plane) the solution is
 //   regularize       near the one of least norm, whatever the start: G + eps I first, then minimum-norm Newton steps;
 //   not regularize   the one that minimum-norm Newton steps reach from the start.
@@ -30,6 +31,7 @@ class ConeSolver {
   bool plain(const ConeProblem& problem, double* lambda);
   bool shifted(const ConeProblem& problem, double* lambda);
   bool attempt(const ConeProblem& problem, bool regularize, double* lambda);
+  bool rescue_turning(const ConeProblem& problem, bool regularize, double* lambda);
   bool rescue(const ConeProblem& problem, bool regularize, double* lambda);
   void clear_open(const ConeProblem& problem, double* lambda) const;
   static void keep_in_cones(const ConeProblem& problem, double* lambda);

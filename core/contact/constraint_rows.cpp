@@ -20,7 +20,7 @@ void ContactStep::constraint_node(const VecCRef& q, double t, Node& node, const 
   node.motions = motions;
   if (bilateral_ > 0)
     evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_),
-                         node.rate.head(bilateral_),                         node.motions);
+                         node.rate.head(bilateral_), node.motions);
   if (friction_rows_ > 0) node.W.middleCols(bilateral_, friction_rows_).setZero();
   for (int k = 0; k < friction_rows_; ++k) node.W(friction_joints_[k].dof, bilateral_ + k) = 1.0;
 }
@@ -75,6 +75,7 @@ void ContactStep::classify_joint_friction(double speed) {
 
 bool ContactStep::slip_ends(int i) const {
   const int n = static_cast<int>(contacts_.size());
+  if (i >= n + friction_rows_) return roll_ends(static_cast<std::size_t>(i - n - friction_rows_));
   if (i >= n) {
     const FrictionJointOutcome& out = friction_outcomes_[i - n];
     const FrictionJoint& joint = friction_joints_[i - n];
@@ -82,18 +83,23 @@ bool ContactStep::slip_ends(int i) const {
   }
   const PersistentContact& persistent = contacts_[i];
   const ContactOutcome& out = outcomes_[i];
-  const bool turns = out.slips && (out.turned || out.slip_W.dot(persistent.slip) < 0.0);
+  const bool turns = out.slips && (out.turned || out.slip_W.dot(persistent.slip) + out.spin * persistent.spin < 0.0);
   return persistent.mu > 0.0 && !persistent.sticks && out.active && (!out.slips || turns);
 }
 
 double ContactStep::slip_at_start(int i) const {
   const int n = static_cast<int>(contacts_.size());
-  return i < n ? contacts_[i].slip.norm() : std::abs(friction_joints_[i - n].speed);
+  if (i >= n + friction_rows_) return contacts_[i - n - friction_rows_].roll.norm();
+  return i < n ? std::hypot(contacts_[i].slip.norm(), contacts_[i].spin) : std::abs(friction_joints_[i - n].speed);
 }
 
 double ContactStep::slip_left(int i) const {
   constexpr double kTurned = -std::numeric_limits<double>::infinity();
   const int n = static_cast<int>(contacts_.size());
+  if (i >= n + friction_rows_) {
+    const ContactOutcome& out = outcomes_[i - n - friction_rows_];
+    return out.rolled && !out.roll_turned ? out.roll_reversed : kTurned;
+  }
   if (i >= n) {
     const FrictionJointOutcome& out = friction_outcomes_[i - n];
     return out.slipped && !out.turned ? out.reversed : kTurned;
@@ -120,9 +126,8 @@ bool ContactStep::constraints_met(double h, bool rates) {
   }
   violated_constraint_ = find_violated(elements, errors);
   if (violated_constraint_ < 0 && rates)
-    violated_constraint_ =
-        find_jump(elements, node1_.W.leftCols(bilateral_).transpose() * v_, 
-                  VecX(node0_.rate.head(bilateral_)), VecX(node1_.rate.head(bilateral_)), h);
+    violated_constraint_ = find_jump(elements, node1_.W.leftCols(bilateral_).transpose() * v_,
+                                     VecX(node0_.rate.head(bilateral_)), VecX(node1_.rate.head(bilateral_)), h);
   if (violated_constraint_ >= 0) why_ = "the constraints cannot be met";
   return violated_constraint_ < 0;
 }

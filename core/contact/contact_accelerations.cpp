@@ -20,6 +20,17 @@ constexpr double kNoise = 1e-9;    // of the largest acceleration: error of the 
 constexpr double kAgree = 1e-7;    // and residual that they leave where contacts share their load
 constexpr double kStill = 1e-11;   // of the speeds: a joint that sticks
 constexpr double kFalling = 0.35;  // of the larger force: one extrapolated to less may reach zero soon
+
+// Friction against spinning and rolling goes on in the direction that it has.
+void freeze_turning(const ContactOutcome& out, ConeContact& cone) {
+  const Vec3 slip(out.slip_W.dot(out.t1), out.slip_W.dot(out.t2), cone.spins ? out.spin : 0.0), d = slip.normalized();
+  cone.frozen = out.slips;
+  cone.d = d.head<2>();
+  cone.d_spin = d[2];
+  cone.frozen_rolling = out.rolls;
+  cone.d_rolling = Eigen::Vector2d(out.roll_W.dot(out.t1), out.roll_W.dot(out.t2)).normalized();
+}
+
 }  // namespace
 
 // What the force does within a step shows in its two impulses where the geometry changes it: to leading order they are
@@ -99,6 +110,10 @@ bool ContactStep::force_problem(VecX& value) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     ConeContact& cone = force_cones_[friction_rows_ + i];
     cone = cones_[friction_rows_ + i];
+    if (cone.rows > 3) {
+      freeze_turning(outcomes_[i], cone);
+      continue;
+    }
     cone.frozen = cone.rows == 3 && outcomes_[i].slips;
     if (friction_varies_) set_force_coefficient(i, cone.frozen, cone);
     if (!cone.frozen) continue;

@@ -75,7 +75,7 @@ void ContactStep::set_rows() {
   reference_positions_.resize(n);
   paradox_.resize(n);
   rows_ = bilateral_ + friction_rows_;
-  iterated_ = friction_varies_ = false;
+  iterated_ = friction_varies_ = rolling_ = false;
   adheres_ = any_adhesion(*scene_, contacts_);
   node1_.known = false;  // it was that of other contacts
   for (std::size_t i = 0; i < n; ++i) {
@@ -85,6 +85,11 @@ void ContactStep::set_rows() {
     cones_[friction_rows_ + i].row = row_[i] - bilateral_;
     cones_[friction_rows_ + i].rows = contacts_[i].rows();
     cones_[friction_rows_ + i].mu = contacts_[i].mu;
+    if (contacts_[i].rows() > 3) {
+      cones_[friction_rows_ + i].spins = contacts_[i].spinning > 0.0;
+      cones_[friction_rows_ + i].rolling = contacts_[i].rolling > 0.0 ? 1.0 : 0.0;  // its rows are times the radius
+      rolling_ |= contacts_[i].rolling > 0.0;
+    }
     const int guard = contacts_[i].point.guard;
     iterated_ |= scene_->is_pair(guard) && scene_->pairs[guard].refined;
     friction_varies_ |= scene_->friction_varies(guard);
@@ -154,6 +159,9 @@ void ContactStep::set_contact_rows(std::size_t i, double t, Node& node) {
   guards_->rows(guard, node.at[i], node.t1[i], node.W.middleCols(row_[i], persistent.rows()));
   if (guards_->moves(guard) && persistent.mu > 0.0)
     node.rate.segment<2>(row_[i] + 1) = guards_->surface_velocity(guard, node.at[i], node.t1[i], t);
+  if (guards_->moves(guard) && persistent.rows() > 3)
+    guards_->surface_turning(guard, node.at[i], node.t1[i], t,
+                             node.rate.segment(row_[i] + 3, persistent.turning_rows()));
 }
 
 // Whether the gap of a contact counts in a step of length h by its rate: the difference of two gaps over so short a
@@ -183,13 +191,11 @@ void ContactStep::set_row_velocities(double h) {
       y_[r] = (node1_.at[i].gap - remaining) / h;
     }
     if (persistent.mu == 0.0) continue;
-    if (persistent.counts_by_place()) {
+    if (persistent.counts_by_place())
       y_.segment<2>(r + 1) = geometry_.displacement(persistent, reference_positions_[i]) / h;
-    } else {
-      for (int k = r + 1; k < r + 3; ++k) {
-        S_.col(k) = 0.5 * (node0_.W.col(k) + node1_.W.col(k));
-        y_[k] = S_.col(k).dot(v_) + 0.5 * (node0_.rate[k] + node1_.rate[k]);
-      }
+    for (int k = persistent.counts_by_place() ? r + 3 : r + 1; k < r + persistent.rows(); ++k) {
+      S_.col(k) = 0.5 * (node0_.W.col(k) + node1_.W.col(k));
+      y_[k] = S_.col(k).dot(v_) + 0.5 * (node0_.rate[k] + node1_.rate[k]);
     }
   }
 }
@@ -198,8 +204,11 @@ void ContactStep::set_row_velocities(double h) {
 // belong to both its impulses.
 void ContactStep::start_forces() {
   start_forces_.resize(rows_);
-  for (std::size_t i = 0; i < contacts_.size(); ++i)
-    start_forces_.segment(row_[i], contacts_[i].rows()) = 0.5 * contacts_[i].force.head(contacts_[i].rows());
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const int rows = std::min(contacts_[i].rows(), 3), turning = contacts_[i].rows() - rows;
+    start_forces_.segment(row_[i], rows) = 0.5 * contacts_[i].force.head(rows);
+    if (turning > 0) start_forces_.segment(row_[i] + rows, turning) = 0.5 * contacts_[i].turning_force.head(turning);
+  }
   start_forces_.head(bilateral_ + friction_rows_) = 0.5 * fixed_force_;
 }
 

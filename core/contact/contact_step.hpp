@@ -170,10 +170,11 @@ class ContactStep final : public Stepper {
     if (!scene_->friction_varies(guard)) return;
     c.mu = c.sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, c.slip.norm());
   }
-  // Slips are numbered: those of the contacts, then those of the joints with friction. slip_ends: whether slip i came
+  // Slips are numbered: those of the contacts, then those of the joints with friction, then, where some contact has
+  // friction against rolling, the rolling of the contacts. slip_ends: whether slip i came
   // to rest or reversed in the step. slip_at_start: its speed there. slip_left: its speed at the end of the step if the
   // friction had gone on, negative if the slip has reversed, -infinity where it has so for most of the step.
-  int slips() const { return static_cast<int>(contacts_.size()) + friction_rows_; }
+  int slips() const { return (rolling_ ? 2 : 1) * static_cast<int>(contacts_.size()) + friction_rows_; }
   bool slip_ends(int i) const;
   double slip_at_start(int i) const;
   double slip_left(int i) const;
@@ -240,6 +241,9 @@ class ContactStep final : public Stepper {
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
                   bool regularize, const Agreement& agreement);
   double contact_matrix(int row, int column) const;
+  bool roll_ends(std::size_t i) const;
+  void classify_turning(std::size_t i, double speed);
+  void set_turning_outcome(std::size_t i, double speed);
   void set_place(const ContactPoint& point, std::size_t i, Node& node) const;
   void set_contact_rows(std::size_t i, double t, Node& node);
   TangentFrame frame(std::size_t i, const Node& node) const {
@@ -299,6 +303,7 @@ class ContactStep final : public Stepper {
   bool fixed_rows_alone_ = true;
   VecX fixed_force_;  // of the rows of constraints and joint friction in the last step
   int rows_ = 0;
+  bool rolling_ = false;   // whether some contact has friction against rolling
   bool iterated_ = false;  // whether the gap of some contact is the end of Newton's method, which rounds more
   Node node0_, node1_;
   std::vector<double> paradox_;  // A of each contact (ContactOutcome)

@@ -48,6 +48,10 @@ bool ContactStep::velocity_impulses() {
     out.turned = false;
     if (out.active) active_.push_back(static_cast<int>(i));
     if (contacts_[i].mu == 0.0) continue;
+    if (contacts_[i].rows() > 3) {
+      classify_turning(i, speed);
+      continue;
+    }
     const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
     const double limit = cones_[friction_rows_ + i].mu * lambda_[r];
     const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
@@ -87,11 +91,20 @@ bool ContactStep::unfreeze_turned(const MatX& G, double still) {
   }
   for (std::size_t a = 0; a < active_.size(); ++a) {
     ConeContact& cone = end_cones_[friction_rows_ + a];
+    if (cone.frozen_rolling) {
+      const int roll = bilateral_ + cone.row + cone.rolling_row();
+      const Eigen::Vector2d w = b_sub_.segment<2>(roll) + G.middleRows<2>(roll) * x_;
+      outcomes_[active_[a]].roll_reversed = w.dot(cone.d_rolling);
+      cone.frozen_rolling = w.dot(cone.d_rolling) > still;
+      turned |= !cone.frozen_rolling;
+    }
     if (!cone.frozen) continue;
     const int row = bilateral_ + cone.row + 1;
     const Eigen::Vector2d w = b_sub_.segment<2>(row) + G.middleRows<2>(row) * x_;
-    outcomes_[active_[a]].reversed = w.dot(cone.d);
-    if (w.dot(cone.d) > still) continue;
+    double along = w.dot(cone.d);
+    if (cone.spins) along += cone.d_spin * (b_sub_[row + 2] + G.row(row + 2) * x_);
+    outcomes_[active_[a]].reversed = along;
+    if (along > still) continue;
     cone.frozen = false;
     turned = true;
   }
@@ -111,6 +124,7 @@ bool ContactStep::solve_end(VecX& lambda) {
     ConeContact cone = cones_[friction_rows_ + i];
     cone.row = static_cast<int>(sub_rows_.size()) - bilateral_;
     cone.frozen = outcomes_[i].slipped;
+    cone.frozen_rolling = outcomes_[i].rolled;
     end_cones_.push_back(cone);
     for (int k = 0; k < cone.rows; ++k) sub_rows_.push_back(row_[i] + k);
   }
@@ -134,8 +148,8 @@ bool ContactStep::solve_end(VecX& lambda) {
       // In Painleve's paradox no force keeps a contact closed that goes on slipping.
       bool frozen = false;
       for (ConeContact& cone : end_cones_) {
-        frozen |= cone.frozen;
-        cone.frozen = false;
+        frozen |= cone.frozen || cone.frozen_rolling;
+        cone.frozen = cone.frozen_rolling = false;
       }
       if (!frozen) return false;
       x_.setZero();
@@ -200,6 +214,7 @@ void ContactStep::set_outcomes() {
       out.friction_work = 0.5 * (out.position_impulse.tail<2>().dot(before + during) +
                                  out.velocity_impulse.tail<2>().dot(during + after));
     }
+    if (persistent.rows() > 3) set_turning_outcome(i, speed);
     const bool pulled = adheres_ && h_ > 0.0;
     const double first = out.position_impulse[0] - (pulled ? pull_[r] : 0.0);
     const double second = out.velocity_impulse[0] - (pulled ? pull_end_[r] : 0.0);
@@ -306,6 +321,12 @@ void ContactStep::commit() {
     persistent.sticks = !out.slips;
     persistent.slip = out.slip_W;
     set_coefficient(persistent);
+    if (persistent.rows() > 3) {
+      persistent.turning_force = (out.position_turning + out.velocity_turning) / h_;
+      kink = kink || persistent.roll.isZero(0.0) == out.rolls;
+      persistent.spin = out.spin;
+      persistent.roll = out.roll_W;
+    }
     persistent.heading.setZero();
     if (!persistent.counts_by_place()) continue;
     if (out.slips || out.slipped) persistent.anchored = false;

@@ -20,12 +20,12 @@ Eigen::Vector2d ContactStep::slip_before(std::size_t i) const {
 }
 
 // A (ContactOutcome::paradox) of the contacts that slip at the start of the step; only of pairs with one point, because
-// several points share their load.
+// several points share their load, and without friction against spinning or rolling.
 void ContactStep::find_paradox() {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const int r = row_[i];
     paradox_[i] = INFINITY;
-    bool single = contacts_[i].mu > 0.0 && !contacts_[i].sticks;
+    bool single = contacts_[i].rows() == 3 && !contacts_[i].sticks;
     for (std::size_t j = 0; j < contacts_.size() && single; ++j)
       single = j == i || contacts_[j].point.guard != contacts_[i].point.guard;
     if (!single) continue;
@@ -53,7 +53,7 @@ void ContactStep::find_jumps() {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     ContactOutcome& out = outcomes_[i];
     out.jumps = false;
-    if (contacts_[i].mu == 0.0 || contacts_[i].sticks) continue;
+    if (contacts_[i].rows() != 3 || contacts_[i].sticks) continue;
     const Eigen::Vector2d before = slip_before(i), after = w_end_.segment<2>(row_[i] + 1);
     out.jumps = before.norm() > slow && before.dot(after) < kStopped * before.squaredNorm() &&
                 lambda_[row_[i]] + lambda_end_[row_[i]] > 0.0;

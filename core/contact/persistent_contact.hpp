@@ -24,8 +24,16 @@ struct PersistentContact {
   // Its slip is a velocity also where a material point touches: a surface moves along itself, or friction depends on the
   // direction.
   bool by_velocity = false;
+  // Friction against spinning and rolling: radii [m]; 0: none.
+  double spinning = 0, rolling = 0;
+  double spin = 0;                    // at the node: radius times relative angular velocity about the normal [m/s],
+  Vec3 roll = Vec3::Zero();           // and about the tangents, world; both 0 without radii
+  Vec3 turning_force = Vec3::Zero();  // (spin, roll1, roll2) in the last step, over the radii [N]
 
-  int rows() const { return mu > 0.0 ? 3 : 1; }
+  int turning_rows() const { return (spinning > 0.0 ? 1 : 0) + (rolling > 0.0 ? 2 : 0); }
+  int rows() const { return mu > 0.0 ? 3 + turning_rows() : 1; }
+  int friction_rows() const { return spinning > 0.0 ? 3 : 2; }  // of the slip with the spin
+  int rolling_row() const { return 1 + friction_rows(); }
   // Whether its slip is the displacement of a material point, and not a velocity: surfaces that roll on each other, or
   // move along themselves, have none.
   bool counts_by_place() const { return point.material && !by_velocity; }
@@ -59,6 +67,13 @@ struct ContactOutcome {
   // step that jumps with what the other contacts answer; infinite where it does not apply.
   double paradox = INFINITY;
   bool jumps = false;  // its impulse does not go to zero with the step
+  // Of spinning and rolling: impulses (spin, roll1, roll2) over the radii [N s], speeds at the end times the radii
+  // [m/s]. The spin counts as a third component of the slip.
+  Vec3 position_turning = Vec3::Zero(), velocity_turning = Vec3::Zero();
+  double spin = 0;
+  Vec3 roll_W = Vec3::Zero();
+  bool rolled = false, rolls = false, roll_turned = false;  // as slipped, slips, turned
+  double roll_reversed = 0;
 };
 
 }  // namespace contactvi

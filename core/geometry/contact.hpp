@@ -33,6 +33,11 @@ void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact
 // t1: unit tangent, world frame; t2 = n x t1.
 void contact_rows(const Tree& tree, const Placements& at, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
 
+// Rows of the relative angular velocity of the two bodies, b less a, as the columns of W (nv, 1 to 3), as speeds [m/s]:
+// about the normal times the radius `spinning`, if it is > 0, then about t1 and t2 times the radius `rolling`, if so.
+void turning_rows(const Tree& tree, const Placements& at, const Contact& contact, const Vec3& t1, double spinning,
+                  double rolling, Eigen::Ref<MatX> W);
+
 // The tangent t turned with its normal from n0 to n1 (the shortest turn), so that a basis does not flip between steps.
 Vec3 carried_tangent(const Vec3& t, const Vec3& n0, const Vec3& n1);
 

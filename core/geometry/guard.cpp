@@ -309,8 +309,12 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
     return;
   }
   place_pair(guard);
-  contact_rows(scene_->tree, placements_, contact, t1, W);
-  if (W.cols() == 3 && has_axis(guard)) W.rightCols<2>() *= scene_->law(guard)->shares.asDiagonal();
+  contact_rows(scene_->tree, placements_, contact, t1, W.leftCols(std::min<Eigen::Index>(3, W.cols())));
+  if (W.cols() < 3) return;
+  if (has_axis(guard)) W.middleCols<2>(1) *= scene_->law(guard)->shares.asDiagonal();
+  if (W.cols() == 3) return;
+  const ContactLaw& law = *scene_->law(guard);
+  turning_rows(scene_->tree, placements_, contact, t1, law.spinning, law.rolling, W.rightCols(W.cols() - 3));
 }
 
 Vec3 Guards::tangent(int guard, const Vec3& normal) {
@@ -336,6 +340,23 @@ Eigen::Vector2d Guards::surface_velocity(int guard, const Contact& contact, cons
   };
   const Vec3 u = of(scene_->pairs[guard].b, contact.point_b) - of(scene_->pairs[guard].a, contact.point_a);
   return frame(guard, contact, t1).rows(u);
+}
+
+void Guards::surface_turning(int guard, const Contact& contact, const Vec3& t1, double t, VecRef rates) {
+  place_pair(guard);
+  const auto of = [&](int geometry) -> Vec3 {
+    const Geometry& g = scene_->geometries[geometry];
+    if (g.motion < 0) return Vec3::Zero();
+    const Vec3 turning = g.R_BG * scene_->surface_motions[g.motion].turning(t);
+    return g.body < 0 ? turning : Vec3(placements_.R_W[g.body] * turning);
+  };
+  const Vec3 turning = of(scene_->pairs[guard].b) - of(scene_->pairs[guard].a);
+  const ContactLaw& law = *scene_->law(guard);
+  Eigen::Index k = 0;
+  if (law.spinning > 0.0) rates[k++] = law.spinning * turning.dot(contact.normal);
+  if (!(law.rolling > 0.0)) return;
+  rates[k++] = law.rolling * turning.dot(t1);
+  rates[k] = law.rolling * turning.dot(contact.normal.cross(t1));
 }
 
 double Guards::depth_tolerance(int guard) const {

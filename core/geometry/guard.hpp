@@ -98,7 +98,7 @@ class Guards {
   // The joints that a guard's gap depends on; one that moves both bodies of a pair may be named twice.
   void list_joints(int guard, std::vector<int>& joints) const;
   // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3), times the shares of
-  // friction.
+  // friction, and where there are Scene::contact_rows columns also those of spinning and rolling.
   void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
   // Whether the friction of a guard depends on its direction; a first tangent where the bodies are placed, then along
   // its axis; and the shares of the coefficient along the tangents.
@@ -116,6 +116,8 @@ class Guards {
   // t2 = n x t1 [m/s]: the velocity of b's surface less that of a's.
   bool moves(int guard) const { return guard < pairs_ && scene_->pairs[guard].moves; }
   Eigen::Vector2d surface_velocity(int guard, const Contact& contact, const Vec3& t1, double t);
+  // As this, of the rows of spinning and rolling.
+  void surface_turning(int guard, const Contact& contact, const Vec3& t1, double t, VecRef rates);
   // How far from zero a gap may be and still count as touching [m; rad].
   static constexpr double kTouching = 1e-11;
   // [m] by which the features of a face that is flat to rounding differ.

@@ -18,7 +18,10 @@ void ImpactSequence::begin_guard(int guard) {
   c.guard = guard;
   c.e = scene_->restitution(guard);
   c.mu = scene_->friction(guard);
-  c.law = scene_->friction_varies(guard) ? scene_->law(guard) : nullptr;
+  const ContactLaw* law = scene_->law(guard);
+  c.spinning = law != nullptr ? law->spinning : 0.0;
+  c.rolling = law != nullptr ? law->rolling : 0.0;
+  c.law = scene_->friction_varies(guard) ? law : nullptr;
   c.impacted = c.persistent = false;
   c.points.clear();
   c.unused.clear();
@@ -85,8 +88,13 @@ void ImpactSequence::add_rows(ClosedGuard& c) {
   if (projection_.any())
     projection_.apply(c.W.middleCols(c.rows, m), c.MinvW.middleCols(c.rows, m), c.mu_fixed.middleCols(c.rows, m),
                       c.offset.segment(c.rows, m));
-  if (m == 3 && guards_->moves(c.guard))
+  if (m >= 3 && guards_->moves(c.guard))
     c.offset.segment<2>(c.rows + 1) += guards_->surface_velocity(c.guard, contact, t1, time_);
+  if (m > 3 && guards_->moves(c.guard)) {
+    VecX turning(m - 3);
+    guards_->surface_turning(c.guard, contact, t1, time_, turning);
+    c.offset.segment(c.rows + 3, m - 3) += turning;
+  }
   c.contacts.push_back(contact);
   c.t1.push_back(t1);
   c.rows += m;

@@ -47,6 +47,8 @@ void ImpactBlock::set_problem(const std::vector<BlockMember>& members, const Vec
       cone.row = rows;
       cone.rows = c.rows_per_point();
       cone.mu = c.friction(i, p);
+      cone.spins = cone.rows > 3 && c.spinning > 0.0;
+      cone.rolling = cone.rows > 3 && c.rolling > 0.0 ? 1.0 : 0.0;  // its rows are times the radius
       cones_.push_back(cone);
       rows += cone.rows;
     }
@@ -162,7 +164,9 @@ void ImpactBlock::note_course(const VecX& impulses, bool again) {
   for (const ConeContact& c : cones_) {
     const double normal = impulses[c.row];
     char mode = normal <= c.lower + kAccept * impulses.cwiseAbs().maxCoeff() ? 0 : 1;
-    if (c.rows == 3 && impulses.segment<2>(c.row + 1).norm() >= c.mu * normal * (1.0 - kAccept)) mode += 2;
+    if (c.rows > 1 && impulses.segment(c.row + 1, c.friction_rows()).norm() >= c.mu * normal * (1.0 - kAccept))
+      mode += 2;
+    if (c.rolling > 0.0 && impulses.segment<2>(c.row + c.rolling_row()).norm() >= normal * (1.0 - kAccept)) mode += 4;
     course_.push_back(mode);
   }
 }

@@ -28,10 +28,11 @@ namespace contactvi {
 struct ClosedGuard {
   int guard = -1;
   double e = 0, mu = 0;
-  const ContactLaw* law = nullptr;  // where its friction is not one number
-  bool persistent = false;          // closed before the event
-  bool impacted = false;            // an impulse of this event acted on it
-  int count = 0;                    // of points that have rows
+  const ContactLaw* law = nullptr;   // where its friction is not one number
+  double spinning = 0, rolling = 0;  // radii of friction [m]
+  bool persistent = false;           // closed before the event
+  bool impacted = false;             // an impulse of this event acted on it
+  int count = 0;                     // of points that have rows
   std::vector<ContactPoint> points;
   // Closed points that were not chosen: they have an impact only if the body tips about the others.
   std::vector<ContactPoint> unused;
@@ -44,7 +45,7 @@ struct ClosedGuard {
   MatX mu_fixed;  // impulses of the constraints per unit impulse of a row, (constraint rows, rows)
   VecX offset;    // part of the rows' velocities that moving constraints and surfaces cause
 
-  int rows_per_point() const { return mu > 0.0 ? 3 : 1; }
+  int rows_per_point() const { return mu > 0.0 ? 3 + (spinning > 0.0 ? 1 : 0) + (rolling > 0.0 ? 2 : 0) : 1; }
   // Normal speed of a point, negative on approach.
   double gamma_n(int point, const VecX& p) const { return speed(point * rows_per_point(), p); }
   double speed(int row, const VecX& p) const { return MinvW.col(row).dot(p) + offset[row]; }

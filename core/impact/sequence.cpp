@@ -190,12 +190,16 @@ ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const Im
 // Whether friction would be too large for the normal impulses scaled to a total of `normal`.
 bool ImpactSequence::leaves_friction_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const {
   if (closed.mu == 0.0) return false;
+  const int m = closed.rows_per_point(), friction = closed.spinning > 0.0 ? 3 : 2;
   double before = 0.0;
-  for (int i = 0; i < closed.count; ++i) before += lambda[3 * i];
+  for (int i = 0; i < closed.count; ++i) before += lambda[m * i];
   if (!(before > 0.0) || normal >= before) return false;
   const double share = normal / before;
-  for (int i = 0; i < closed.count; ++i)
-    if (lambda.segment<2>(3 * i + 1).norm() > closed.mu * share * lambda[3 * i] * (1.0 + kOnCone)) return true;
+  for (int i = 0; i < closed.count; ++i) {
+    const double most = share * lambda[m * i] * (1.0 + kOnCone);
+    if (lambda.segment(m * i + 1, friction).norm() > closed.mu * most) return true;
+    if (closed.rolling > 0.0 && lambda.segment<2>(m * i + 1 + friction).norm() > most) return true;
+  }
   return false;
 }
 
@@ -341,7 +345,7 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
     const Contact& c = closed.contacts[i];
     const Vec3 middle = 0.5 * (c.point_a + c.point_b);
     Vec3 impulse = lambda[m * i] * c.normal;
-    if (m == 3) impulse += guards_->frame(closed.guard, c, closed.t1[i]).force(lambda.segment<2>(m * i + 1));
+    if (m >= 3) impulse += guards_->frame(closed.guard, c, closed.t1[i]).force(lambda.segment<2>(m * i + 1));
     r.impulse_vector += impulse;
     r.point += lambda[m * i] * middle;
     weight += lambda[m * i];

@@ -52,9 +52,12 @@ struct ContactLaw {
   int axis_of = -1;
   Vec3 axis = Vec3::Zero();
   Eigen::Vector2d shares = Eigen::Vector2d::Ones();
-
+  // Radii [m] of the friction of a point against spinning and against rolling; 0: none.
+  double spinning = 0.0, rolling = 0.0;
   // Whether an impact is not Poisson's in two phases.
   bool is_other() const { return restitution != RestitutionLaw::kPoisson || incremental || tangential > 0.0; }
+  // Rows of a point with friction beside (n, t1, t2).
+  int turning_rows() const { return (spinning > 0.0 ? 1 : 0) + (rolling > 0.0 ? 2 : 0); }
 };
 
 }  // namespace contactvi

@@ -94,6 +94,12 @@ struct Scene {
       if (pair.moves || (pair.law >= 0 && laws[pair.law].pull.given())) return true;
     return false;
   }
+  // Rows of a point: the normal one, with friction those of slip, spinning and rolling.
+  int contact_rows(int guard) const {
+    if (!(friction(guard) > 0.0)) return 1;
+    const ContactLaw* own = law(guard);
+    return own != nullptr ? 3 + own->turning_rows() : 3;
+  }
   double restitution(int guard) const {
     return is_pair(guard) ? pairs[guard].restitution : tree.limits[guard - pairs.size()].restitution;
   }

@@ -16,6 +16,8 @@ struct SurfaceMotion {
     const Vec3 field = linear + angular.cross(r);
     return profile.given() ? Vec3(profile(t) * field) : field;
   }
+  // Its angular velocity [rad/s].
+  Vec3 turning(double t) const { return profile.given() ? Vec3(profile(t) * angular) : angular; }
 };
 
 }  // namespace contactvi

@@ -80,6 +80,10 @@ PersistentContact ContactSet::make_persistent(const ContactPoint& point, const C
   if (point.kind == PointKind::kVertex && point.plane_body >= 0)
     persistent.tangent = guards_->placements().R_W[point.plane_body].transpose() * persistent.tangent;
   persistent.slip = slip;
+  if (const ContactLaw* law = scene_->law(point.guard); law != nullptr && persistent.mu > 0.0) {
+    persistent.spinning = law->spinning;
+    persistent.rolling = law->rolling;
+  }
   persistent.sticks = slip.norm() <= kPersists * (1.0 + v_.cwiseAbs().maxCoeff());
   step_->set_coefficient(persistent);
   return persistent;
@@ -101,15 +105,28 @@ bool ContactSet::persists(const ClosedGuard& c, int k, int forced, double slow) 
   return !(std::abs(gamma) > slow && c.guard != forced && !(gamma > 0.0 && gamma < slow_separation));
 }
 
+// How point k of a closed guard spins and rolls.
+void ContactSet::set_turning(const ClosedGuard& c, int k, PersistentContact& persistent) const {
+  const int r = c.rows_per_point() * k;
+  const double still = kPersists * (1.0 + v_.cwiseAbs().maxCoeff());
+  if (persistent.spinning > 0.0) persistent.spin = c.speed(r + 3, run_->p);
+  persistent.sticks = std::hypot(persistent.slip.norm(), persistent.spin) <= still;
+  if (!(persistent.rolling > 0.0)) return;
+  const int roll = r + persistent.rolling_row();
+  persistent.roll = c.speed(roll, run_->p) * c.t1[k] + c.speed(roll + 1, run_->p) * c.contacts[k].normal.cross(c.t1[k]);
+  if (persistent.roll.norm() <= still) persistent.roll.setZero();
+}
+
 // Point k of a closed guard persists; what it was before is kept.
 void ContactSet::keep_point(const ClosedGuard& c, int k) {
   Vec3 slip = Vec3::Zero();
   if (c.mu > 0.0) {
-    const int r = 3 * k;
+    const int r = c.rows_per_point() * k;
     const Eigen::Vector2d w(c.speed(r + 1, run_->p), c.speed(r + 2, run_->p));
     slip = guards_->frame(c.guard, c.contacts[k], c.t1[k]).slip(w);
   }
   PersistentContact persistent = make_persistent(c.points[k], c.contacts[k], slip);
+  if (persistent.rows() > 3) set_turning(c, k, persistent);
   const PersistentContact* before = find_contact(previous_, c.guard, c.points[k]);
   if (before != nullptr) {
     persistent.tangent = before->tangent;

@@ -47,6 +47,7 @@ class ContactSet {
   const std::vector<int>& guards_with_contacts() const { return persistent_guards_; }
 
  private:
+  void set_turning(const ClosedGuard& c, int k, PersistentContact& persistent) const;
   PersistentContact make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip);
   bool persists(const ClosedGuard& c, int k, int forced, double slow);
   void keep_point(const ClosedGuard& c, int k);

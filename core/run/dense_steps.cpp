@@ -29,11 +29,16 @@ constexpr double kSlow = 1e-11;                // of the speeds: a slower slip i
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
+bool has_adhesion(const Scene& scene) {
+  return std::any_of(scene.laws.begin(), scene.laws.end(), [](const ContactLaw& law) { return law.pull.given(); });
+}
+
 }  // namespace
 
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
-  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact();
+  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact() &&
+         !has_turning_friction(*scene_) && !has_adhesion(*scene_);
 }
 
 // What locating events has cost so far [us].

@@ -152,16 +152,20 @@ void fields(Archive& a, Contact& x) {
 
 template <class Archive>
 void fields(Archive& a, PersistentContact& x) {
-  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, by_velocity] = x;
-  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, by_velocity);
+  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, by_velocity, spinning,
+         rolling, spin, roll, turning_force] = x;
+  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, by_velocity,
+         spinning, rolling, spin, roll, turning_force);
 }
 
 template <class Archive>
 void fields(Archive& a, ContactOutcome& x) {
   auto& [contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
-         friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps] = x;
+         friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps,
+         position_turning, velocity_turning, spin, roll_W, rolled, rolls, roll_turned, roll_reversed] = x;
   values(a, contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
-         friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps);
+         friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps,
+         position_turning, velocity_turning, spin, roll_W, rolled, rolls, roll_turned, roll_reversed);
 }
 
 template <class Archive>

@@ -36,11 +36,16 @@ bool keeps_constraints(const Tree& tree, const SimulatorOptions& options) {
   return options.stages > 1 && (ctec || !(options.gradient || friction));
 }
 
+bool has_turning_friction(const Scene& scene) {
+  return std::any_of(scene.laws.begin(), scene.laws.end(),
+                     [](const ContactLaw& law) { return law.turning_rows() > 0; });
+}
+
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),
       options_(options),
       law_(&impact_law(options.impact)),
-      keeps_constraints_(keeps_constraints(scene.tree, options)),
+      keeps_constraints_(keeps_constraints(scene.tree, options) && !has_turning_friction(scene)),
       keeps_joint_friction_(keeps_constraints_ && !scene.tree.elements.friction_dofs.empty()),
       dissipative_(dissipates(scene.tree)),
       does_work_(scene_does_work()),

@@ -59,6 +59,9 @@ struct SimulatorOptions {
 // Whether the smooth steps of a run keep the scene's constraints, persistent contacts and joint friction; else contact
 // steps do.
 bool keeps_constraints(const Tree& tree, const SimulatorOptions& options);
+// Whether some pair has friction against spinning or rolling: then persistent contacts are left to contact steps, and
+// there are no dense steps.
+bool has_turning_friction(const Scene& scene);
 
 // Called about ten times a second with (time [s], impacts so far); false asks the run to stop.
 using Progress = std::function<bool(double, long)>;

@@ -189,6 +189,37 @@ def test_pairs_and_friction_are_those_of_mujoco(tmp_path: Path, flag: str):
         assert "torsional" in " ".join(names(scene, "ignored", "pair").values())
 
 
+TURNING = """
+<geom name="floor" type="plane" size="1 1 1" friction="{floor}" priority="{priority}"/>
+<body name="a" pos="0 0 .09"><freejoint/><geom name="ball" size=".1" friction=".8 .02 .003" condim="{condim}"/></body>
+"""
+
+
+@pytest.mark.parametrize("condim", [3, 4, 6])
+@pytest.mark.parametrize(("floor", "priority"), [("1 .005 .0001", 0), (".5 .03 .004", 0), (".5 .03 .004", 1)])
+def test_torsional_and_rolling_friction_is_that_of_mujoco(tmp_path: Path, condim: int, floor: str, priority: int):
+    """A contact that MuJoCo has mixed: its bounds on the two torques, over the normal force, are the same."""
+    file = tmp_path / "turning.xml"
+    file.write_text(text(TURNING.format(floor=floor, priority=priority, condim=condim)))
+    m = mujoco.MjModel.from_xml_path(str(file))
+    d = mujoco.MjData(m)
+    mujoco.mj_forward(m, d)
+    contact = d.contact[0]
+    scene = cvi.Scene()
+    scene.add_mjcf(file, turning_friction=True)
+    (mu,) = scene.pair_friction
+    laws = scene.to_dict()["contact_laws"]
+    law = laws[0] if laws else {}
+    assert mu == pytest.approx(contact.friction[0])
+    assert mu * law.get("spinning_radius", 0.0) == pytest.approx(contact.friction[2] if contact.dim >= 4 else 0.0)
+    assert law.get("rolling_radius", 0.0) == pytest.approx(contact.friction[3] if contact.dim >= 6 else 0.0)
+    assert not names(scene, "ignored", "pair")
+    scene = cvi.Scene()
+    scene.add_mjcf(file)
+    assert ("torsional" in " ".join(names(scene, "ignored", "pair").values())) == (contact.dim >= 4)
+    assert not scene.to_dict()["contact_laws"]
+
+
 def test_what_may_touch_nothing_in_the_file_touches_what_is_not_in_it(tmp_path: Path):
     world = '<body pos="0 0 1"><freejoint/>'
     world += '<geom name="one" size=".1" friction=".4"/><geom name="two" size=".1" pos="1 0 0"/></body>'

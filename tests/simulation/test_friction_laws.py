@@ -199,6 +199,66 @@ def test_adhesion_adds_to_friction() -> None:
     scene = box_on_ground(mu, adhesion=pull)
     run = cvi.simulate(scene, FLAT, [2.0, 0, 0, 0, 0, 0], duration=0.2, dt=0.01, order=4)
     assert run.v[-1][0] == pytest.approx(2.0 - mu * (9.81 + pull / MASS) * 0.2, abs=1e-10)
-    forces = run.contacts.force(0.1) if hasattr(run.contacts, "force") else None
-    if forces is not None:
-        assert np.sum(forces[:, 2]) == pytest.approx(MASS * 9.81, rel=1e-9)
+    rows = [row for row in run.contacts if row.step == 5]
+    assert len(rows) == 4
+    assert sum(row.force[2] for row in rows) == pytest.approx(MASS * 9.81, rel=1e-9)
+
+
+def test_an_axis_is_that_of_its_surface() -> None:
+    """One geometry with an axis, first in some pairs and second in others: all slide as the ellipse says."""
+    mu, v = (0.5, 0.2), np.array([1.0, 1.2])
+    scene = cvi.Scene()
+    scene.add_box("a_box", BOX, mass=MASS)
+    scene.add_halfspace(name="ground")
+    scene.add_box("z_box", BOX, mass=MASS)
+    scene.set_contact("ground", friction=mu, friction_axis=(1.0, 0.0, 0.0), restitution=0.0)
+    far = FLAT.copy()
+    far[0] = 5.0
+    motion = [*v, 0.0, 0.0, 0.0, 0.0]
+    run = cvi.simulate(scene, [*FLAT, *far], [*motion, *motion], duration=0.2, dt=0.02, order=8)
+    _, speed = right.Ellipse(v, *mu).at(0.2)
+    np.testing.assert_allclose(run.v[-1].reshape(2, 6)[:, :2], [speed, speed], atol=1e-6)
+
+
+def test_what_is_no_law_of_friction_is_refused() -> None:
+    """Each with an error that says what was expected."""
+    scene = box_on_ground()
+    for given, words in (
+        ({"friction": (0.1, 0.2)}, "friction_axis"),
+        ({"friction": (0.1, 0.0), "friction_axis": (1, 0, 0)}, "> 0"),
+        ({"friction": 0.2, "friction_axis": (1, 0, 0)}, "along, across"),
+        ({"friction": [(0.5, 0.2), (0.1, 0.3)]}, "ascend"),
+        ({"static_friction": -1.0}, "static_friction"),
+        ({"adhesion": -2.0}, "adhesion"),
+    ):
+        with pytest.raises(cvi.InputError, match=words):
+            scene.set_contact("ground", "box", **given)
+    scene.set_contact("ground", "box", friction=0.5, static_friction=0.3)
+    with pytest.raises(cvi.SceneError, match="static_friction"):
+        scene.engine()
+    with pytest.raises(cvi.InputError, match="adhesion"):
+        cvi.simulate(box_on_ground(adhesion=3.0), FLAT, duration=0.1, dt=0.01, contact_mode="steps")
+    with pytest.raises(cvi.InputError, match="linear"):
+        scene.set_surface_velocity("ground", (1.0, 2.0))
+
+
+def test_laws_of_friction_are_stored(tmp_path) -> None:
+    """A stored run brings its laws and moving surfaces; functions are named as missing."""
+    scene = box_on_ground([(0.0, 0.5), (1.0, 0.3)], static_friction=0.6, adhesion=[(0.0, 3.0), (1.0, 5.0)])
+    scene.set_surface_velocity("ground", (0.4, 0.0, 0.0), angular=(0.0, 0.0, 1.0), profile=[(0.0, 0.0), (0.2, 1.0)])
+    run = cvi.simulate(scene, FLAT, np.zeros(6), duration=0.3, dt=0.01)
+    run.save(tmp_path / "run.npz")
+    again = cvi.simulate(cvi.Trajectory.load(tmp_path / "run.npz").scene, FLAT, np.zeros(6), duration=0.3, dt=0.01)
+    np.testing.assert_array_equal(run.q, again.q)
+    scene.set_surface_velocity("ground", (0.4, 0.0, 0.0), profile=math.cos)
+    cvi.simulate(scene, FLAT, np.zeros(6), duration=0.1, dt=0.01).save(tmp_path / "other.npz")
+    assert "the surface velocity of ground" in cvi.Trajectory.load(tmp_path / "other.npz").scene.missing
+
+
+def test_derivatives_are_refused() -> None:
+    """A gradient through such a contact says so, and what does not touch has its derivative."""
+    scene = box_on_ground(static_friction=0.7)
+    run = cvi.simulate(scene, FLAT, [1.0, 0, 0, 0, 0, 0], duration=0.1, dt=0.01, order=2, record="gradient")
+    with pytest.raises(cvi.NotDifferentiable, match="law") as refused:
+        run.sensitivity().at(0.1)
+    assert refused.value.reason == "law"

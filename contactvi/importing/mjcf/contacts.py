@@ -19,6 +19,8 @@ class GeomPair:
     Attributes:
         friction: sliding friction, the smaller of two directions.
         damping_ratio: of MuJoCo's soft contact, for which `restitution` gives the ratio of speeds.
+        turning: radii of the friction against spinning and rolling [m].
+        untaken: what is lost of a contact whose radii are not taken, empty: nothing.
         adhesion: pull up to which the geoms stay together [N]; MuJoCo's is that of each contact point.
     """
 
@@ -26,6 +28,8 @@ class GeomPair:
     b: int
     friction: float
     damping_ratio: float
+    turning: tuple[float, float]
+    untaken: str
     adhesion: float = 0.0
 
 
@@ -56,6 +60,19 @@ def geom_friction(source: Source, geom: int) -> float:
     return float(source.m.geom_friction[geom][0]) if source.m.geom_condim[geom] > _SLIDING else 0.0
 
 
+def geom_turning(source: Source, geom: int) -> tuple[float, float]:
+    """Return the radii of friction against spinning and rolling [m] of one geom, as geom_friction."""
+    sliding, torsional, rolling = (float(x) for x in source.m.geom_friction[geom])
+    return _turning(sliding, torsional, rolling, int(source.m.geom_condim[geom]))
+
+
+def _turning(sliding: float, torsional: float, rolling: float, dim: int) -> tuple[float, float]:
+    """Return the radii of spinning and rolling friction [m]: a pure spin meets the torque torsional * N."""
+    if not sliding > 0.0:
+        return 0.0, 0.0
+    return torsional / sliding if dim >= _TORSIONAL else 0.0, rolling if dim >= _ROLLING else 0.0
+
+
 def _listed(source: Source) -> Iterator[GeomPair]:
     """Yield the <pair>s of the file, each once."""
     m = source.m
@@ -63,7 +80,7 @@ def _listed(source: Source) -> Iterator[GeomPair]:
     for p in range(m.npair):
         a, b = sorted((int(m.pair_geom1[p]), int(m.pair_geom2[p])))
         if (a, b) in seen:
-            source.lose("pair", _title(source, a, b), "given twice: the first one counts")
+            source.lose("pair", pair_title(source, a, b), "given twice: the first one counts")
             continue
         seen.add((a, b))
         gap = float(m.pair_margin[p]) + float(m.pair_gap[p])
@@ -125,9 +142,10 @@ def _pair(
     source: Source, a: int, b: int, friction: np.ndarray, dim: int, solref: np.ndarray, gap: float, pull: float
 ) -> GeomPair:
     """Return a pair; friction: two sliding, one torsional, two rolling coefficients."""
-    title = _title(source, a, b)
-    if dim >= _TORSIONAL and np.any(friction[2 : 3 if dim < _ROLLING else 5]):
-        source.lose("pair", title, f"torsional{' and rolling' if dim >= _ROLLING else ''} friction (condim {dim})")
+    title = pair_title(source, a, b)
+    sliding = float(min(friction[:2])) if dim > _SLIDING else 0.0
+    lost = dim >= _TORSIONAL and np.any(friction[2 : 3 if dim < _ROLLING else 5])
+    untaken = f"torsional{' and rolling' if dim >= _ROLLING else ''} friction (condim {dim})" if lost else ""
     if dim > _SLIDING and friction[0] != friction[1]:
         source.report.note("changed", "pair", title, "friction differs in two directions: the smaller one counts")
     if gap:
@@ -135,7 +153,8 @@ def _pair(
     if pull:
         text = f"adhesion {pull:g} N of the pair, which its contact points share (MuJoCo's is that of each point)"
         source.report.note("changed", "pair", title, text)
-    return GeomPair(a, b, float(min(friction[:2])) if dim > _SLIDING else 0.0, _damping_ratio(solref), pull)
+    turning = _turning(sliding, float(friction[2]), float(min(friction[3:])), dim)
+    return GeomPair(a, b, sliding, _damping_ratio(solref), turning, untaken, pull)
 
 
 def surface_velocity(source: Source, geom: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -154,5 +173,5 @@ def _damping_ratio(solref: np.ndarray) -> float:
     return -b / (2.0 * float(np.sqrt(-a))) if a < 0.0 else 1.0
 
 
-def _title(source: Source, a: int, b: int) -> str:
+def pair_title(source: Source, a: int, b: int) -> str:
     return f"{source.names['geom'][a]} | {source.names['geom'][b]}"

@@ -15,7 +15,7 @@ from contactvi.errors import SceneError
 from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.mjcf.actuators import actuators_of
 from contactvi.importing.mjcf.compiler import Source
-from contactvi.importing.mjcf.contacts import geom_friction, geom_pairs, surface_velocity
+from contactvi.importing.mjcf.contacts import geom_friction, geom_pairs, geom_turning, pair_title, surface_velocity
 from contactvi.importing.mjcf.contacts import restitution as ratio_of_speeds
 from contactvi.importing.mjcf.forces import Forces
 from contactvi.importing.mjcf.shapes import Shape, Shapes, color_of, in_pictures
@@ -53,6 +53,7 @@ class Choices:
     actuators: bool
     restitution: float | str | None
     allow: tuple[str, ...] = ()
+    turning_friction: bool = False
 
 
 def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
@@ -77,7 +78,7 @@ def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
     forces = Forces(source, tree, prefix, placement, choices.gravity)
     data = FileData(springs=forces.springs(), actuators=actuators_of(source, prefix) if choices.actuators else [])
     data.elements = [*(forces.constraints() if choices.equality else []), *forces.tendons(), *forces.wrenches()]
-    given = _contacts(source, collision, index, data, choices.restitution)
+    given = _contacts(source, collision, index, data, choices)
     qpos = inside_limits(source, np.array(m.qpos0))
     part = Part(
         name=prefix + name,
@@ -174,24 +175,31 @@ def _contacts(
     collision: pin.GeometryModel,
     index: dict[int, list[int]],
     data: FileData,
-    bounce: float | str | None,
+    choices: Choices,
 ) -> list[tuple[int, int]]:
     """Return the pairs that are tested, and enter friction and restitution of geoms and pairs into the data."""
     names = [geometry.name for geometry in collision.geometryObjects]
     given: list[tuple[int, int]] = []
+    bounce = choices.restitution
     single = None if bounce is None or bounce == SOLREF else float(bounce)
     for geom, shapes in index.items():
         for k in shapes:
             data.contact[names[k],] = geom_friction(source, geom), single
             if (velocity := surface_velocity(source, geom)) is not None:
                 data.surface_velocities[names[k]] = velocity
+            if choices.turning_friction:
+                data.turning[names[k],] = geom_turning(source, geom)
     for pair in geom_pairs(source):
+        if pair.untaken and not choices.turning_friction:
+            source.lose("pair", pair_title(source, pair.a, pair.b), pair.untaken)
         ratio = ratio_of_speeds(pair.damping_ratio) if bounce == SOLREF else single
         for i, j in itertools.product(index[pair.a], index[pair.b]):
             given.append((i, j))
             data.contact[names[i], names[j]] = pair.friction, ratio
             if pair.adhesion:
                 data.adhesion[names[i], names[j]] = pair.adhesion
+            if choices.turning_friction:
+                data.turning[names[i], names[j]] = pair.turning
     data.limit_restitution = single
     return given
 
