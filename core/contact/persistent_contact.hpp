@@ -21,8 +21,8 @@ struct PersistentContact {
   Vec3 force = Vec3::Zero();    // (n, t1, t2) in the last step [N]: start values of the next one
   bool is_new = false;          // while an event is resolved: the contact was not closed before it
   double pull_share = 1.0;      // of the adhesion of its pair: one over the most points that have touched at once
-  // Its slip is a velocity also where a material point touches: a surface moves along itself, or friction depends on the
-  // direction.
+  // Its slip is a velocity also where a material point touches: a surface moves along itself, or friction depends
+  // on the direction.
   bool by_velocity = false;
   // Friction against spinning and rolling: radii [m]; 0: none.
   double spinning = 0, rolling = 0;

@@ -23,8 +23,8 @@ class NumberFunction {
   double slope(double place) const;
 
  private:
-  // Number of the place at which the piece of the table begins in which this one lies; -1 before the table, the last one
-  // after it.
+  // Number of the place at which the piece of the table begins in which this one lies; -1 before the table, the last
+  // one after it.
   int piece(double place) const;
   double rise(int piece) const;
 

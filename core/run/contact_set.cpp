@@ -238,7 +238,7 @@ bool ContactSet::close_contacts_at_start(const std::function<bool(int, int)>& pa
   return true;
 }
 
-// Which contacts let go with contact i: where the pull of an adhesive pair is not enough, all of its points without load.
+// Which contacts let go with contact i: of an adhesive pair all points that are without load then.
 std::vector<char> ContactSet::letting_go(int i, const VecX& tau) {
   const std::vector<PersistentContact>& contacts = step_->contacts();
   std::vector<char> found(contacts.size(), 0);

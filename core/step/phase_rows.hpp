@@ -30,7 +30,7 @@ class PhaseRows {
   virtual double friction(int slide, double speed) const = 0;
   // Whether any contact adheres.
   virtual bool any_adheres() const = 0;
-  // What is set at a configuration of the step: the displacements phi (count,), the gradients W (nv, count), the tangents
+  // What is set at a configuration of the step: displacements phi (count,), gradients W (nv, count), tangents
   // T (nv, 2 per slide); and the velocities that surfaces have of themselves, where some move along themselves, beside
   // W^T v (count,) and T^T v (2 per slide,).
   struct Placed {

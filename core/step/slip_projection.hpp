@@ -2,7 +2,7 @@
 //
 // Along rows with gradients W and tangents T of sliding contacts, at the momentum p: impulses lambda along
 // F = W - mu T d, column by column of the sliding contacts' normals, with W^T M^-1 (p + F lambda) + rate = 0, and
-// directions d of the slips T^T M^-1 (p + F lambda) + drift there, across which the slip is zero. Newton's method on both.
+// directions d of the slips T^T M^-1 (p + F lambda) + drift there, across which the slip is zero: Newton's method.
 #pragma once
 
 #include "step/phase_rows.hpp"
@@ -14,9 +14,9 @@ namespace contactvi {
 class SlipProjection {
  public:
   // lambda (m,) and angles (slides,), of d from the first tangents: start values, and the solution. The rows of the
-  // slides' normals follow `first` others; coefficients (slides,): of their friction. A slip that has turned back, so far that its direction is no longer to be
-  // found from it, keeps that of `before`. Adds F lambda to p, and sets v = M^-1 p and the slips (slides,). The node of
-  // `equations` must be placed. False: it was not found.
+  // slides' normals follow `first` others; coefficients (slides,): of their friction. A slip that has turned back, too
+  // far to tell its direction, keeps that of `before`. Adds F lambda to p, and sets v = M^-1 p and the slips (slides,).
+  // The node of `equations` must be placed. False: it was not found.
   bool apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate, const VecX& drift,
              const std::vector<PhaseRows::Slide>& slides, int first, const VecCRef& coefficients, const VecCRef& before,
              VecRef p, VecX& v, VecRef lambda, VecRef angles, VecRef slips);

@@ -235,7 +235,7 @@ def test_what_is_no_law_of_friction_is_refused() -> None:
             scene.set_contact("ground", "box", **given)
     scene.set_contact("ground", "box", friction=0.5, static_friction=0.3)
     with pytest.raises(cvi.SceneError, match="static_friction"):
-        scene.engine()
+        cvi.simulate(scene, FLAT, duration=0.1, dt=0.01)
     with pytest.raises(cvi.InputError, match="adhesion"):
         cvi.simulate(box_on_ground(adhesion=3.0), FLAT, duration=0.1, dt=0.01, contact_mode="steps")
     with pytest.raises(cvi.InputError, match="linear"):
@@ -260,5 +260,5 @@ def test_derivatives_are_refused() -> None:
     scene = box_on_ground(static_friction=0.7)
     run = cvi.simulate(scene, FLAT, [1.0, 0, 0, 0, 0, 0], duration=0.1, dt=0.01, order=2, record="gradient")
     with pytest.raises(cvi.NotDifferentiable, match="law") as refused:
-        run.sensitivity().at(0.1)
+        run.sensitivity("friction")
     assert refused.value.reason == "law"
