@@ -31,7 +31,7 @@ class SurfaceMotion:
     def checked(cls, linear: ArrayLike, angular: ArrayLike, profile: Any) -> SurfaceMotion:
         """Return the motion with these numbers; InputError for bad ones."""
         given = None if profile is None else number_function("profile", profile, -np.inf, np.inf, "s")
-        return cls(*(tuple(vector(name, x, 3)) for name, x in (("linear", linear), ("angular", angular))), given)
+        return cls(tuple(vector("linear", linear, 3)), tuple(vector("angular", angular, 3)), given)
 
     @property
     def moves(self) -> bool:
