@@ -122,6 +122,11 @@ class PairLaw:
         """Whether its surfaces pull at each other."""
         return self.adhesion > 0.0 or self.adhesion_of_time is not None
 
+    def pull(self, t: float) -> float:
+        """Return the adhesion at a time [s] in N."""
+        given = self.adhesion_of_time
+        return self.adhesion if given is None else given.at(t, "a law of adhesion")
+
     @property
     def followed(self) -> bool:
         """Whether impacts of one point are followed through their impulse."""

@@ -61,9 +61,9 @@ class SceneContacts:
             friction_axis: (3,), in the frame of a, which is one geometry then.
             static_friction: coefficient of what sticks in persistent contact, which begins to slide with `friction`;
                 by default that of a slip of zero.
-            adhesion: pull [N] up to which the surfaces stay together once they touch, by default 0, shared by the
-                points that touch; the friction is that of the normal force and the pull together. Or a table (n, 2) of
-                times [s] and pulls, or a function of the time. Scenes with it take no dense steps (contact_mode).
+            adhesion: pull [N] up to which the surfaces stay together once they touch, by default 0, shared by as many
+                points as have touched at once; the friction is that of the normal force and the pull together. Or a
+                table (n, 2) of times [s] and pulls, or a function of the time. Scenes with it take no dense steps.
             restitution_law: "poisson" (default), the ratio of the impulses of expansion and compression; "newton", of
                 the speeds after and before; "energetic" (Stronge), whose square is the ratio of the works of the
                 normal impulse. Without friction all three are the same.

@@ -33,6 +33,7 @@ from contactvi.importing.joint_kinds import joint_kind
 from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ContactLog
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
+from contactvi.scene.contact_laws import PairLaw
 
 Array = NDArray[np.float64]
 
@@ -71,6 +72,25 @@ def free_trees(model: pin.Model, collision: pin.GeometryModel) -> list[FreeTree]
     return found
 
 
+def adhesion_of(laws: Sequence[tuple[PairLaw, Sequence[int]]], contacts: ContactLog) -> Array | None:
+    """Return the impulses of adhesion of every row [N s], shape (m,); None: no pair adheres.
+
+    That of a pair is shared by its rows of one step; a point that has let go has left its part to nobody, so that this
+    is a bound.
+    """
+    sticky = [(law, places) for law, places in laws if law.adheres]
+    if not sticky:
+        return None
+    start, h, index = (contacts.array(name) for name in ("t", "h", "index"))
+    of_pair = contacts.array("kind") == GuardKind.CONTACT
+    found = np.zeros(len(index))
+    for law, places in sticky:
+        for row in np.flatnonzero(of_pair & (h > 0.0) & np.isin(index, places)):
+            together = of_pair & (index == index[row]) & (start == start[row])
+            found[row] = law.pull(start[row] + 0.5 * h[row]) * h[row] / np.count_nonzero(together)
+    return found
+
+
 class ContactLedger:
     """See the module. Every array is computed when first asked for and kept."""
 
@@ -84,14 +104,15 @@ class ContactLedger:
         gravity: Array | None = None,
         pushed: bool = False,
         dense_steps: DenseSteps | None = None,
+        pulls: Array | None = None,
     ) -> None:
         """Take the contacts and the nodes t (N,) [s], q (N, nq), p (N, nv) of a run.
 
         Only the balance needs trees from `free_trees`, gravity [m/s^2], shape (3,), and whether anything besides
-        gravity and contacts acts on the trees. dense_steps are those of these nodes.
+        gravity and contacts acts on the trees. dense_steps are those of these nodes. pulls: from `adhesion_of`.
         """
         self._contacts, self._t, self._q, self._p = contacts, t, q, p
-        self._trees, self._pushed = trees, pushed
+        self._trees, self._pushed, self._pulls = trees, pushed, pulls
         self._dense = no_dense_steps() if dense_steps is None else dense_steps
         self._gravity = np.zeros(3) if gravity is None else gravity
 
@@ -102,8 +123,9 @@ class ContactLedger:
 
     @property
     def impulse(self) -> Array:
-        """Normal impulses [N s; N m s], shape (m,); none may be below zero."""
-        return self._contacts.normal_impulse
+        """Normal impulses [N s; N m s], shape (m,), with the adhesion that they bear; none may be below zero."""
+        found = self._contacts.normal_impulse
+        return found if self._pulls is None else found + self._pulls
 
     @cached_property
     def gap(self) -> Array:

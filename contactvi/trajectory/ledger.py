@@ -57,7 +57,7 @@ from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
 from contactvi.records.work import Forces
 from contactvi.scene.build import Built
-from contactvi.trajectory.contact_ledger import ContactLedger, free_trees
+from contactvi.trajectory.contact_ledger import ContactLedger, adhesion_of, free_trees
 from contactvi.trajectory.remade_steps import RemadeSteps
 
 if TYPE_CHECKING:
@@ -248,7 +248,8 @@ class Ledger:
         trees = free_trees(model, self._built.collision)
         pushed = self._forced or self._built.elements.any or self._given is not None
         gravity = np.array(model.gravity.linear)
-        return ContactLedger(run.contacts, self.t, self._q, self._p, trees, gravity, pushed, run.dense_steps)
+        pulls = adhesion_of(self._built.laws, run.contacts)
+        return ContactLedger(run.contacts, self.t, self._q, self._p, trees, gravity, pushed, run.dense_steps, pulls)
 
     # -- of dense steps ------------------------------------------------------------------------------------------------
 

@@ -18,8 +18,9 @@ Contacts, events and changes have the pair as one column, its two shapes (of a l
 x, y, z [m], normals nx, ny, nz from the first shape to the second, impulses ix, iy, iz [N s], forces fx, fy, fz [N] and
 slips sx, sy, sz [m/s] are in world axes; impulse and force act on the second shape. normal_force and friction_force [N]
 are what they sound like, friction_ratio is friction_force / (mu normal_force), 1 on the friction cone. An impact has no
-force, and a point without friction no ratio: NaN. has_force tells the rows whose step is long enough for a force to
-mean something. What a limit does to its joint [N; N m] is its normal_force.
+force, and a point without friction, or with another law than Coulomb's with one number, no ratio: NaN. has_force tells
+the rows whose step is long enough for a force to mean something. What a limit does to its joint [N; N m] is its
+normal_force.
 
 t of a contact or a force is the start of its step or window, of an impact its time. Windows of forces are those between
 the nodes, or have the length that is asked for; columns are FIRST | SECOND.x, .y, .z, on the second shape in world
@@ -188,8 +189,14 @@ def contacts(traj: Run) -> Table:
 
 
 def friction_ratio(scene: Scene, log: ContactLog) -> Array:
-    """Return |friction| / (mu normal) of every row, shape (m,); NaN without a force, friction or a pressing one."""
-    mu = np.asarray(scene.pair_friction, dtype=float)
+    """Return |friction| / (mu normal) of every row, shape (m,).
+
+    NaN without a force, friction or a pressing one, and where the bound is not one number times the normal force.
+    """
+    mu = np.array(scene.pair_friction, dtype=float)
+    for law, places in scene.built().laws:
+        if law.varies("friction") or law.adheres:
+            mu[places] = 0.0
     of_pair = (log.array("kind") == GuardKind.CONTACT) & (log.h > 0.0)
     most = np.zeros(len(log))
     most[of_pair] = mu[log.array("index")[of_pair]] * log.normal_impulse[of_pair]

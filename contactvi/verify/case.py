@@ -18,6 +18,7 @@ from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import simulate
 from contactvi.status import StatusCode
 from contactvi.trajectory.compiled import compile_scene
+from contactvi.trajectory.contact_ledger import adhesion_of
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -131,7 +132,8 @@ def kept(traj: Trajectory) -> tuple[float, float, float]:
         gaps += [traj.q[:, at] - model.lowerPositionLimit[at], model.upperPositionLimit[at] - traj.q[:, at]]
     events, contacts = traj.events, traj.contacts
     at_impacts = events.array("gap"), events.array("impulse")
-    in_contact = contacts.array("gap"), contacts.normal_impulse
+    pulls = adhesion_of(built.laws, contacts)
+    in_contact = contacts.array("gap"), contacts.normal_impulse + (0.0 if pulls is None else pulls)
     gaps += [at_impacts[0], in_contact[0]]
     impulses = np.concatenate([[0.0], at_impacts[1], in_contact[1]])
     products = np.concatenate([[0.0], at_impacts[0] * at_impacts[1], in_contact[0] * in_contact[1]])

@@ -203,6 +203,33 @@ void DenseCandidates::set_start_impulses(DenseContact& c, const std::vector<Dens
   c.velocity.tail<2>().setZero();
 }
 
+// By the centres of pairs that could pass through each other. Against what has no bounds a gap tells it.
+void DenseCandidates::find_passages(const VecX& q1) {
+  passes_ = false;
+  std::vector<int> fast;
+  for (const Near& near : near_) {
+    if (!scene_->is_pair(near.guard)) continue;
+    const Geometry &a = scene_->geometries[scene_->pairs[near.guard].a],
+                   &b = scene_->geometries[scene_->pairs[near.guard].b];
+    if (a.unbounded || b.unbounded) continue;
+    if (near.reach > 2.0 * (a.box_half.minCoeff() + b.box_half.minCoeff())) fast.push_back(near.guard);
+  }
+  const auto between = [this](int guard) -> Vec3 {
+    const Placements& at = guards_->placements(guard);
+    const auto center = [&at](const Geometry& g) {
+      return g.body < 0 ? g.center_B : Vec3(at.p_W[g.body] + at.R_W[g.body] * g.center_B);
+    };
+    const Pair& pair = scene_->pairs[guard];
+    return center(scene_->geometries[pair.b]) - center(scene_->geometries[pair.a]);
+  };
+  for (int guard : fast) {
+    guards_->place(q0_);
+    const Vec3 before = between(guard);
+    guards_->place(q1);
+    passes_ |= before.dot(between(guard)) < 0.0;
+  }
+}
+
 bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const std::vector<DenseImpulse>& impulses) {
   points_.clear();
   laws_.clear();
@@ -210,6 +237,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   deepest_ = -1;
   bool limit_overlaps = false;
   closing_.clear();
+  find_passages(q1);
   guards_->place(q1);
   for (const Near& near : near_) {
     if (near.watched && guards_->distance_bound(near.guard, 0.0) > 0.0) continue;

@@ -67,6 +67,9 @@ class DenseCandidates {
   double gap() const { return gap_; }
   // The guard of that gap, -1: nothing overlaps there.
   int deepest() const { return deepest_; }
+  // Whether two bodies have come to the other sides of each other on the way to the last end looked at, where they move
+  // farther than they are thick.
+  bool passes_through() const { return passes_; }
   // How what overlaps may be left changes with the length of the step [m/s].
   double allowed_rate() const;
   // Whether no gap there is below what is allowed by more than the error of its distance.
@@ -83,6 +86,7 @@ class DenseCandidates {
   };
 
   double allowed(double gap0) const;
+  void find_passages(const VecX& q1);
   bool stays_open(int guard, const std::vector<DenseImpulse>& impulses);
   bool is_near(Near& near);
   void add_points(const Near& near, const std::vector<DenseImpulse>& impulses);
@@ -112,6 +116,7 @@ class DenseCandidates {
   VecX q0_;
   double h_ = 0.0, share_ = 1.0, gap_ = 0.0, gap_noise_ = 0.0;
   int deepest_ = -1;
+  bool passes_ = false;
   double excess_ = 0.0;  // of the gap that is furthest below what is allowed
 };
 

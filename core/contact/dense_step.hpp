@@ -85,6 +85,8 @@ class DenseStep {
   const VecX& end_configuration() const { return q1_; }
   const VecX& stage_velocity() const { return v_; }
   const VecX& end_velocity() const { return v1_; }
+  // Whether bodies may have passed through each other in the step, so that its gaps say nothing.
+  bool passes_through() const { return candidates_.passes_through(); }
   // Whether gaps and energy are within what is promised.
   double allowed_rate() const { return candidates_.allowed_rate(); }
   bool keeps_promises() const { return candidates_.keeps_gaps() && report_.energy_rise <= 0.0; }

@@ -152,14 +152,16 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     const bool shortest = h <= kShortestPromise * nominal;
     if (solved && shortest && dense_step_.report().energy_rise > 0.0)
       solved = dense_step_.solve(state_.q, state_.p, h, interval.tau, DenseStep::Kept::kEnergy);
-    if (solved && (shortest || dense_step_.keeps_promises())) break;
+    if (solved && !dense_step_.passes_through() && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
     if (shortest && dense_step_.violated_constraint() >= 0) return end_violated(dense_step_.violated_constraint(), at);
     h *= 0.5;
     share *= 0.5;
     ++state_.control.halved;
     if (h < kShortestDense * nominal)
-      return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
+      return end(StatusCode::kNewtonFailed, at,
+                 dense_step_.passes_through() ? "bodies would pass through each other in the shortest dense step"
+                                              : std::string("a dense step was not solved: ") + dense_step_.why());
   }
   const int deepest = dense_step_.deepest();
   if (scene_->tree.elements.driven() && deepest >= 0 && dense_step_.report().gap < -guards_.promised(deepest))

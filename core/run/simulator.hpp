@@ -287,6 +287,7 @@ class Simulator {
 
   // Whether anything but gravity and springs does work, inputs left aside.
   bool scene_does_work() const;
+  bool sequence_loses();
 
   const Scene* scene_;
   SimulatorOptions options_;
