@@ -116,8 +116,9 @@ void NaturalMap::velocity(const ConeProblem& problem, const double* lambda, doub
 
 // The piece of the projection onto a ball of N rows that holds there; adds what F_t is.
 template <int N>
-TangentMode NaturalMap::ball(double radius, double scale, bool frozen, const double* d, const double* lambda,
-                             const double* w, Vec3& e, double& beta, Error& error) {
+[[gnu::always_inline]] inline TangentMode NaturalMap::ball(double radius, double scale, bool frozen, const double* d,
+                                                           const double* lambda, const double* w, Vec3& e, double& beta,
+                                                           Error& error) {
   using Rows = Eigen::Matrix<double, N, 1>;
   const Eigen::Map<const Rows> l_t(lambda), w_t(w), given(d);
   Rows f_t;  // F_t / r_t

@@ -35,7 +35,8 @@ void ConeNewton::reserve(int rows) {
 // The unknowns of friction of one kind, of N rows, of which the first is old[0]; x: where next_ has it. ray: its
 // direction per unit of the normal impulse, where it has one.
 template <int N>
-void ConeNewton::add_ball(const Ball& ball, double normal, const double* old, double* x, double* ray) {
+[[gnu::always_inline]] inline void ConeNewton::add_ball(const Ball& ball, double normal, const double* old, double* x,
+                                                        double* ray) {
   constexpr int before = 3 - N;  // rows between that from which an unknown counts and the first of friction
   const double friction = ball.mu * normal;
   switch (ball.mode) {

@@ -30,11 +30,14 @@ double ContactStep::friction_work() const {
 
 // Forces on what moves by itself, a prescribed constraint or the surface of a belt, have power: the velocities that the
 // bodies have along these rows are -rate, beside the slip on a surface.
-double ContactStep::driven_work() const { return -lambda_.dot(node0_.rate) - lambda_end_.dot(node1_.rate); }
+double ContactStep::driven_work() const {
+  if (bilateral_ == 0 && scene_->surface_motions.empty()) return 0.0;
+  return -lambda_.dot(node0_.rate) - lambda_end_.dot(node1_.rate);
+}
 
 double ContactStep::mean_work() const {
   double impulses = 0.0;
-  impulses -= lambda_.dot(node0_.rate);
+  if (bilateral_ > 0 || !scene_->surface_motions.empty()) impulses -= lambda_.dot(node0_.rate);
   for (int k = 0; k < friction_rows_; ++k) impulses += lambda_[bilateral_ + k] * v_[friction_joints_[k].dof];
   return integrator_.mean_work() + impulses;
 }

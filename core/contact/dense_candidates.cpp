@@ -208,7 +208,7 @@ void DenseCandidates::find_passages(const VecX& q1) {
   passes_ = false;
   std::vector<int> fast;
   for (const Near& near : near_) {
-    if (!scene_->is_pair(near.guard)) continue;
+    if (near.reach <= 4.0 * thinnest_ || !scene_->is_pair(near.guard)) continue;
     const Geometry &a = scene_->geometries[scene_->pairs[near.guard].a],
                    &b = scene_->geometries[scene_->pairs[near.guard].b];
     if (a.unbounded || b.unbounded) continue;

@@ -1,6 +1,8 @@
 // The points that may touch in a dense step: those of all pairs that may close within it, and joint limits.
 #pragma once
 
+#include <algorithm>
+#include <limits>
 #include <vector>
 
 #include "geometry/guard.hpp"
@@ -46,7 +48,10 @@ class DenseCandidates {
  public:
   static constexpr double kGapPromised = 1e-10;  // [m] overlap at the end from which on a point joins the candidates
 
-  DenseCandidates(const Scene& scene, Guards& guards) : scene_(&scene), guards_(&guards) {}
+  DenseCandidates(const Scene& scene, Guards& guards) : scene_(&scene), guards_(&guards) {
+    for (const Geometry& g : scene.geometries)
+      if (!g.unbounded) thinnest_ = std::min(thinnest_, g.box_half.minCoeff());
+  }
 
   // For a step of length h from q0; nominal_h: that of a whole step.
   void begin(const VecCRef& q0, double h, double nominal_h);
@@ -117,7 +122,8 @@ class DenseCandidates {
   double h_ = 0.0, share_ = 1.0, gap_ = 0.0, gap_noise_ = 0.0;
   int deepest_ = -1;
   bool passes_ = false;
-  double excess_ = 0.0;  // of the gap that is furthest below what is allowed
+  double thinnest_ = std::numeric_limits<double>::infinity();  // half of the least width of a box [m]
+  double excess_ = 0.0;                                        // of the gap that is furthest below what is allowed
 };
 
 }  // namespace contactvi

@@ -55,6 +55,7 @@ double DenseStep::constraint_work() const { return -start_.mu.dot(start_.rate) -
 
 double DenseStep::driven_work() const {
   double work = constraint_work();
+  if (scene_->surface_motions.empty()) return work;
   for (const DenseContact& c : contacts()) {
     if (!guards_->moves(c.point.guard)) continue;
     work -= c.position.tail<2>().dot(c.drift0) + c.velocity.tail<2>().dot(c.drift1);

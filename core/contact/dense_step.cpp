@@ -275,6 +275,7 @@ Vec3 DenseStep::end_tangent(const DenseContact& c) {
 
 // Friction that depends on the slip is that of its speed at the start of the step.
 void DenseStep::set_friction() {
+  if (scene_->laws.empty()) return;
   for (std::size_t i = 0; i < active_.size(); ++i) {
     DenseContact& c = candidates_.contacts()[active_[i]];
     const int guard = c.point.guard;
@@ -289,13 +290,14 @@ void DenseStep::set_friction() {
 
 // What surfaces that move along themselves add to the tangential velocities of a contact, where the bodies are placed.
 Eigen::Vector2d DenseStep::drift(const DenseContact& c, bool at_end) {
-  if (!guards_->moves(c.point.guard)) return Eigen::Vector2d::Zero();
+  if (scene_->surface_motions.empty() || !guards_->moves(c.point.guard)) return Eigen::Vector2d::Zero();
   return at_end ? guards_->surface_velocity(c.point.guard, c.at1, c.t1_1, t_ + h_)
                 : guards_->surface_velocity(c.point.guard, c.at0, c.t1_0, t_);
 }
 
 bool DenseStep::any_surface_moves() const {
-  return std::any_of(contacts().begin(), contacts().end(),
+  return !scene_->surface_motions.empty() &&
+         std::any_of(contacts().begin(), contacts().end(),
                      [this](const DenseContact& c) { return guards_->moves(c.point.guard); });
 }
 

@@ -10,7 +10,7 @@ double adhesion(const Scene& scene, const PersistentContact& contact, double t) 
 }
 
 bool any_adhesion(const Scene& scene, const std::vector<PersistentContact>& contacts) {
-  return std::any_of(contacts.begin(), contacts.end(), [&scene](const PersistentContact& c) {
+  return !scene.laws.empty() && std::any_of(contacts.begin(), contacts.end(), [&scene](const PersistentContact& c) {
     const ContactLaw* law = scene.law(c.point.guard);
     return law != nullptr && law->pull.given();
   });

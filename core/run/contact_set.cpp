@@ -256,23 +256,28 @@ std::vector<char> ContactSet::letting_go(int i, const VecX& tau) {
 
 void ContactSet::release_separated(int releasing, bool at_event, double time, const VecX& tau, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
-  const std::vector<ContactOutcome> outcomes = step_->outcomes();
-  const std::vector<char> let_go = letting_go(releasing, tau);
+  std::vector<char> let_go;
+  std::vector<ContactOutcome> kept;  // what else lets go is found with other ones
+  if (releasing >= 0) {
+    kept = step_->outcomes();
+    let_go = letting_go(releasing, tau);
+  }
+  const std::vector<ContactOutcome>& outcomes = releasing >= 0 ? kept : step_->outcomes();
   const double fast = kSeparates * (1.0 + step_->end_velocity().cwiseAbs().maxCoeff());
   bool dropped = false;
   for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
     const ContactOutcome& out = outcomes[i];
     const int guard = contacts[i].point.guard;
-    const bool leaves = let_go[static_cast<std::size_t>(i)] != 0 ||
-                        (out.position_impulse[0] <= 0.0 && out.contact.gap > kOpenPoint) ||
-                        (out.w_n > fast && !at_event);
+    const bool goes = releasing >= 0 && let_go[static_cast<std::size_t>(i)] != 0;
+    const bool leaves =
+        goes || (out.position_impulse[0] <= 0.0 && out.contact.gap > kOpenPoint) || (out.w_n > fast && !at_event);
     if (!leaves) continue;
     const ContactPoint point = contacts[i].point;
     record_change(time, point, Change::kRelease, 0.0, recording);
     contacts.erase(contacts.begin() + i);
     finder_->set_touching(guard, true);
     run_->separated.push_back({guard, point.feature});
-    if (let_go[static_cast<std::size_t>(i)] != 0) finder_->exempt(guard);
+    if (goes) finder_->exempt(guard);
     dropped = true;
   }
   if (dropped) update_persistent_guards();

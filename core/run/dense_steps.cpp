@@ -38,7 +38,7 @@ bool has_adhesion(const Scene& scene) {
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
   return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact() &&
-         !has_turning_friction(*scene_) && !has_adhesion(*scene_);
+         (scene_->laws.empty() || (!has_turning_friction(*scene_) && !has_adhesion(*scene_)));
 }
 
 // What locating events has cost so far [us].
