@@ -20,7 +20,7 @@ bool covers_rows(const ConeProblem& problem) {
   int row = 0;
   for (const ConeContact& c : problem.contacts) {
     if (c.row != row || (c.rows != 1 && c.rows != c.rows_of_friction())) return false;
-    if (!std::isfinite(c.rolling) || (c.frozen_rolling && !c.d_rolling.allFinite())) return false;
+    if (c.rows > 3 && (!std::isfinite(c.rolling) || (c.frozen_rolling && !c.d_rolling.allFinite()))) return false;
     if (!std::isfinite(c.mu) || !std::isfinite(c.lower) || c.mu < 0.0 || c.lower < 0.0) return false;
     if (!std::isfinite(c.box) || c.box < 0.0 || (c.box > 0.0 && c.rows != 1)) return false;
     if (c.frozen && !(c.d.allFinite() && std::isfinite(c.d_spin))) return false;

@@ -179,6 +179,7 @@ void ContactStep::set_row_velocities(double h) {
   end_node(q1_, integrator_.time() + h);
   S_ = node1_.W;
   set_constraint_velocities(h);
+  const bool surfaces_move = !scene_->surface_motions.empty();
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
     const int r = row_[i];
@@ -191,11 +192,15 @@ void ContactStep::set_row_velocities(double h) {
       y_[r] = (node1_.at[i].gap - remaining) / h;
     }
     if (persistent.mu == 0.0) continue;
-    if (persistent.counts_by_place())
-      y_.segment<2>(r + 1) = geometry_.displacement(persistent, reference_positions_[i]) / h;
-    for (int k = persistent.counts_by_place() ? r + 3 : r + 1; k < r + persistent.rows(); ++k) {
+    int k = r + 1;
+    if (persistent.counts_by_place()) {
+      y_.segment<2>(k) = geometry_.displacement(persistent, reference_positions_[i]) / h;
+      k += 2;
+    }
+    for (const int end = r + persistent.rows(); k < end; ++k) {
       S_.col(k) = 0.5 * (node0_.W.col(k) + node1_.W.col(k));
-      y_[k] = S_.col(k).dot(v_) + 0.5 * (node0_.rate[k] + node1_.rate[k]);
+      y_[k] = S_.col(k).dot(v_);
+      if (surfaces_move) y_[k] += 0.5 * (node0_.rate[k] + node1_.rate[k]);
     }
   }
 }
