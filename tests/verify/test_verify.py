@@ -55,6 +55,12 @@ def test_one_case_by_name(command, name):
     assert "1 of 1 cases passed" in rows[-1]
 
 
+def test_every_case_passes(command):
+    """All of them, as a user runs them; exit code 0 is what the README promises."""
+    result = command("verify")
+    assert result.exit_code == PASSED, result.stdout
+
+
 def test_several_cases_as_json(command):
     result = command("verify", "three-balls", "ball-in-bowl", "--json")
     assert result.exit_code == PASSED
