@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import pathlib
@@ -13,6 +14,7 @@ import time
 import pytest
 
 from helpers.extras import extra, needs_mujoco
+from oracles import friction_laws
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -317,6 +319,13 @@ def test_extending_own_force_runs(tmp_path):
 
 def test_extending_own_law_runs(tmp_path):
     assert abs(float(run_marked("own-law", tmp_path)[0]) - 0.9 * math.exp(-0.1 * math.sqrt(2.0 * 9.81 * 0.95))) < 1e-10
+
+
+def test_extending_own_friction_runs(tmp_path):
+    """The block slips again after one period of its limit cycle (tests/oracles/friction_laws.py)."""
+    block = friction_laws.Oscillator(2.0, 100.0, 2.0 * 9.81, 0.1, 0.6, friction_laws.stribeck(0.6, 0.3, 0.2))
+    slips = sorted(set(json.loads(run_marked("own-friction", tmp_path)[0])))
+    assert abs(slips[1] - slips[0] - block.cycle()["period"]) < 0.011  # of numbers with two decimals
 
 
 def test_extending_own_guard_runs(tmp_path):
