@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -19,6 +20,9 @@ import numpy as np
 
 import contactvi as cvi
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from helpers.wavy_ground import bend, slope, waves
+
 SOURCE = """
 #include <math.h>
 void height(double x, double y, double *f) {
@@ -27,21 +31,6 @@ void height(double x, double y, double *f) {
   f[3] = -.45 * a * d; f[4] = -.45 * b * c; f[5] = -.45 * a * d;
 }
 """
-
-
-def waves(p: np.ndarray) -> np.ndarray:
-    return 0.05 * np.sin(3.0 * p[:, 0]) * np.cos(3.0 * p[:, 1])
-
-
-def slope(p: np.ndarray) -> np.ndarray:
-    x, y = 3.0 * p.T
-    return 0.15 * np.stack([np.cos(x) * np.cos(y), -np.sin(x) * np.sin(y)], axis=1)
-
-
-def bend(p: np.ndarray) -> np.ndarray:
-    x, y = 3.0 * p.T
-    same, mixed = -np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y)
-    return 0.45 * np.array([[same, mixed], [mixed, same]]).transpose(2, 0, 1)
 
 
 class Compiled:

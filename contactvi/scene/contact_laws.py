@@ -247,13 +247,16 @@ def checked_contact(
     if np.ndim(friction) == 1 or friction_axis is not None:
         laws["friction_axis"] = _friction_axis(first, friction, friction_axis)
         numbers["friction"] = max(laws["friction_axis"].along, laws["friction_axis"].across)
+        replaced: tuple[str, ...] = ("friction_of_speed",)
     elif _is_function(friction, 2):
         laws["friction_of_speed"] = number_function("friction", friction, 0.0, np.inf)
-    elif friction is not None:
-        numbers["friction"] = real("friction", friction, 0.0)
-        for name in ("friction_of_speed", "friction_axis", "static_friction"):
-            if name in rules.rules and name not in laws:
-                laws[name] = None
+        replaced = ("friction_axis",)
+    else:
+        replaced = ()
+        if friction is not None:
+            numbers["friction"] = real("friction", friction, 0.0)
+            replaced = ("friction_of_speed", "friction_axis", "static_friction")
+    laws |= {name: None for name in replaced if name in rules.rules and name not in laws}
     if _is_function(adhesion, 1):
         laws["adhesion_of_time"] = number_function("adhesion", adhesion, 0.0, np.inf, "s")
     elif adhesion is not None:
@@ -337,6 +340,12 @@ def check_friction(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) ->
         )  # fmt: skip
     if not law.rubs:
         return
+    if law.friction_axis is not None and law.friction_of_speed is not None:
+        raise SceneError(
+            f"The friction of {pair[0]!r} and {pair[1]!r} depends on the direction and on the speed of the slip",
+            expected="one of both", got="friction_axis of one side, a table or function of the other",
+            remedy=f"Set it for the pair: scene.set_contact({pair[0]!r}, {pair[1]!r}, friction=...)",
+        )  # fmt: skip
     least, rest = float(np.min(friction)), law.static_friction
     if least > 0.0 and (rest is None or rest >= float(np.max(friction))):
         return

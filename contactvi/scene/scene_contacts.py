@@ -169,7 +169,8 @@ class SceneContacts:
             linear: [m/s], shape (3,), in the frame of the geometry.
             angular: [rad/s], shape (3,), in the frame of the geometry.
             profile: a table (n, 2) of times [s] and factors, or a function of the time (a compiled one by its
-                `address`, as of numba.cfunc: float64(float64)). Smooth within steps, or with its kinks at their ends.
+                `address`, as of numba.cfunc: float64(float64)). Smooth within steps, or with its kinks at
+                their ends; it is asked for times of up to 1 ms before the run and after it as well.
 
         Raises:
             InputError: bad numbers, or no such body.

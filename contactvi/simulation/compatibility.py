@@ -84,20 +84,16 @@ def check_map(compiled: CompiledScene, options: Options) -> None:
 
 
 def _check_dense(compiled: CompiledScene) -> None:
-    pair = compiled.turning_pair
-    if pair is not None:
-        raise InputError(
-            f"Dense steps know no friction against spinning or rolling, as {pair[0]!r} and {pair[1]!r} have it",
-            name="contact_mode", expected="'auto' or 'events'", got="'steps'",
-            remedy="Use contact_mode='auto', or scene.set_contact(..., spinning_radius=0, rolling_radius=0)",
-        )  # fmt: skip
-    pair = compiled.adhesive_pair
-    if pair is not None:
-        raise InputError(
-            f"Dense steps know no adhesion, as {pair[0]!r} and {pair[1]!r} have it",
-            name="contact_mode", expected="'auto' or 'events'", got="'steps'",
-            remedy="Use contact_mode='auto', or scene.set_contact(..., adhesion=0)",
-        )  # fmt: skip
+    for what, pair, settings in (
+        ("friction against spinning or rolling", compiled.turning_pair, "spinning_radius=0, rolling_radius=0"),
+        ("adhesion", compiled.adhesive_pair, "adhesion=0"),
+    ):
+        if pair is not None:
+            raise InputError(
+                f"Dense steps know no {what}, as {pair[0]!r} and {pair[1]!r} have it",
+                name="contact_mode", expected="'auto' or 'events'", got="'steps'",
+                remedy=f"Use contact_mode='auto', or scene.set_contact(..., {settings})",
+            )  # fmt: skip
 
 
 def check_unforced(options: Options) -> None:

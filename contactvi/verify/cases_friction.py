@@ -8,6 +8,7 @@ import numpy as np
 
 from contactvi.reproduce.check import Check, near
 from contactvi.scene.scene import Scene
+from contactvi.verify import systems
 from contactvi.verify.case import Case, Runs
 
 _MASS, _WEIGHT = 2.0, 19.62
@@ -42,19 +43,9 @@ def belt(runs: Runs) -> list[Check]:
 
 def turntable(runs: Runs) -> list[Check]:
     """Closed form: a rolling ball goes round a circle with 2/7 of the rate of the table (Weltner 1979)."""
-    radius, rate, place, v = 0.1, 3.0, np.array([0.5, 0.1, 0.1]), np.array([0.1, 0.2, 0.0])
-    scene = Scene()
-    scene.add_halfspace(name="table")
-    scene.add_sphere("ball", radius)
-    scene.set_contact(friction=0.5, restitution=0.0)
-    scene.set_surface_velocity("table", angular=(0.0, 0.0, rate))
-    slip = np.cross([0.0, 0.0, rate], place) - v
-    spin = [slip[1] / radius, -slip[0] / radius, 0.4]
-    traj = runs.simulate(scene, [*place, 0.0, 0.0, 0.0, 1.0], [*v, *spin], 1.0, 0.02, order=8)
-    angle = 2.0 / 7.0 * rate
-    c, s = math.cos(angle), math.sin(angle)
-    path = np.array([[s, c - 1.0], [1.0 - c, s]]) / angle
-    return [near("place at 1 s [m]", place[:2] + path @ v[:2], traj.q[-1][:2], 1e-12, "order 8, steps of 20 ms")]
+    scene, q, v, place = systems.ball_on_turntable()
+    traj = runs.simulate(scene, q, v, 1.0, 0.02, order=8)
+    return [near("place at 1 s [m]", place(1.0), traj.q[-1][:2], 1e-12, "order 8, steps of 20 ms")]
 
 
 def stick_slip(runs: Runs) -> list[Check]:

@@ -266,6 +266,28 @@ def nut_on_screw(mass: float, radius: float, pitch: float) -> Scene:
     return scene
 
 
+def ball_on_turntable() -> tuple[Scene, Array, Array, Callable[[float], Array]]:
+    """A rolling ball of 0.1 m: scene, q, v, and its place (2,) by the time.
+
+    It goes round a circle with 2/7 of the rate of the table (Weltner 1979).
+    """
+    radius, rate, place_0, v = 0.1, 3.0, np.array([0.5, 0.1, 0.1]), np.array([0.1, 0.2, 0.0])
+    scene = Scene()
+    scene.add_halfspace(name="table")
+    scene.add_sphere("ball", radius)
+    scene.set_contact(friction=0.5, restitution=0.0)
+    scene.set_surface_velocity("table", angular=(0.0, 0.0, rate))
+    slip = np.cross([0.0, 0.0, rate], place_0) - v
+    spin = [slip[1] / radius, -slip[0] / radius, 0.4]
+
+    def place_at(t: float) -> Array:
+        around = 2.0 / 7.0 * rate
+        c, s = math.cos(around * t), math.sin(around * t)
+        return np.asarray(place_0[:2] + np.array([[s, c - 1.0], [1.0 - c, s]]) @ v[:2] / around)
+
+    return scene, np.array([*place_0, 0.0, 0.0, 0.0, 1.0]), np.array([*v, *spin]), place_at
+
+
 def ball_on_string(angle: float) -> tuple[Scene, Array]:
     """A ball of 1 kg on a string of 1 m from the origin, `angle` [rad] from the bottom; scene and q."""
     scene = Scene((0.0, 0.0, -GRAVITY))

@@ -23,6 +23,7 @@ void DenseCandidates::begin(const VecCRef& q0, double h, double nominal_h) {
   share_ = h < nominal_h ? h / nominal_h : 1.0;
   near_.clear();
   contacts_.clear();
+  passes_ = false;
 }
 
 void DenseCandidates::collect(const VecX& bound, const VecX& q_free, const std::vector<DenseImpulse>& impulses) {

@@ -323,7 +323,10 @@ Vec3 Guards::tangent(int guard, const Vec3& normal) {
   const ContactLaw& law = *scene_->law(guard);
   const Pair& pair = scene_->pairs[guard];
   const Geometry& g = scene_->geometries[law.axis_of == 0 ? pair.a : pair.b];
-  const Vec3 axis = g.body < 0 ? Vec3(g.R_BG * law.axis) : Vec3(placements_.R_W[g.body] * (g.R_BG * law.axis));
+  Mat3 R;
+  Vec3 p;
+  geometry_pose(g, placements_, R, p);
+  const Vec3 axis = R * law.axis;
   const Vec3 along = axis - axis.dot(normal) * normal;
   // An axis along the normal has no direction in the tangent plane.
   return along.norm() > kAcross ? Vec3(along.normalized()) : any_tangent(normal);
@@ -334,8 +337,9 @@ Eigen::Vector2d Guards::surface_velocity(int guard, const Contact& contact, cons
   const auto of = [&](int geometry, const Vec3& x) -> Vec3 {
     const Geometry& g = scene_->geometries[geometry];
     if (g.motion < 0) return Vec3::Zero();
-    const Mat3 R = g.body < 0 ? g.R_BG : Mat3(placements_.R_W[g.body] * g.R_BG);
-    const Vec3 p = g.body < 0 ? g.p_BG : Vec3(placements_.p_W[g.body] + placements_.R_W[g.body] * g.p_BG);
+    Mat3 R;
+    Vec3 p;
+    geometry_pose(g, placements_, R, p);
     return R * scene_->surface_motions[g.motion].velocity(R.transpose() * (x - p), t);
   };
   const Vec3 u = of(scene_->pairs[guard].b, contact.point_b) - of(scene_->pairs[guard].a, contact.point_a);
@@ -347,8 +351,10 @@ void Guards::surface_turning(int guard, const Contact& contact, const Vec3& t1, 
   const auto of = [&](int geometry) -> Vec3 {
     const Geometry& g = scene_->geometries[geometry];
     if (g.motion < 0) return Vec3::Zero();
-    const Vec3 turning = g.R_BG * scene_->surface_motions[g.motion].turning(t);
-    return g.body < 0 ? turning : Vec3(placements_.R_W[g.body] * turning);
+    Mat3 R;
+    Vec3 p;
+    geometry_pose(g, placements_, R, p);
+    return R * scene_->surface_motions[g.motion].turning(t);
   };
   const Vec3 turning = of(scene_->pairs[guard].b) - of(scene_->pairs[guard].a);
   const ContactLaw& law = *scene_->law(guard);

@@ -88,7 +88,7 @@ void Simulator::join(SideBySide& company) {
 }
 
 // Whether the contacts that closed last may lose energy. Impacts that lose none end by themselves, and how often bodies
-// hit each other then decides where they go: dense steps, in which impacts have no times, never stand for them.
+// hit each other then decides where they go: what it costs to locate them is no reason for dense steps.
 bool Simulator::sequence_loses() {
   for (int i = 0; i < sequence_.count(); ++i)
     if (sequence_.closed(i).e < 1.0 || sequence_.closed(i).mu > 0.0) return true;

@@ -19,7 +19,7 @@ SEEDS, LONG = 24, 400
 ORDERS = (2, 4, 8)
 
 
-def friction(rng: np.random.Generator, body: str) -> dict[str, object]:
+def friction(rng: np.random.Generator) -> dict[str, object]:
     """Return arguments of set_contact for a law of friction of a pair (body, ground)."""
     mu = float(rng.uniform(0.05, 0.8))
     match rng.integers(6):
@@ -71,7 +71,7 @@ def drawn(seed: int) -> tuple[cvi.Scene, np.ndarray, np.ndarray, dict[str, objec
             scene.add_box(name, (0.2, 0.15, 0.1))
         else:
             scene.add_capsule(name, 0.05, 0.15)
-        scene.set_contact("ground", name, **friction(rng, name), **restitution(rng))
+        scene.set_contact("ground", name, **friction(rng), **restitution(rng))
         flat = kind != "capsule" and bool(rng.integers(2))
         turn = pin.Quaternion(*rng.normal(size=4)).normalized() if not flat else pin.Quaternion(1.0, 0.0, 0.0, 0.0)
         q += [0.6 * k, 0.0, 0.3, *turn.coeffs()]
@@ -84,8 +84,8 @@ def drawn(seed: int) -> tuple[cvi.Scene, np.ndarray, np.ndarray, dict[str, objec
     return scene, np.array(q), np.array(v), {"duration": 1.0, "order": order, "dt": {2: 2e-3, 4: 5e-3, 8: 1e-2}[order]}
 
 
-def examine(seed: int) -> tuple[str, list[str]]:
-    """Return the status of a run and what is wrong with it."""
+def examine(seed: int) -> tuple[bool, list[str]]:
+    """Return whether a run came to its end, and what is wrong with it."""
     scene, q, v, options = drawn(seed)
     traj = cvi.simulate(scene, q, v, throw=False, **options)
     wrong = []
@@ -98,28 +98,28 @@ def examine(seed: int) -> tuple[str, list[str]]:
         wrong.append(f"an impact gives {-loss.min():.2g} J")
     balance = traj.energy + traj.friction_loss + traj.impact_loss - traj.work.prescribed
     off = float(np.max(np.abs(balance - balance[0])))
-    # Contact steps are of order 2, and so is the energy of what they hold.
-    allowed = 2e-2 if options["order"] == 2 or traj.stats.contact_steps or traj.stats.dense_steps else 1e-5
+    # Contact steps are of order 2, and so is the energy of what they hold: some (h omega)^2 / 12 of it.
+    allowed = 2e-5 if options["order"] == 2 or traj.stats.contact_steps or traj.stats.dense_steps else 1e-7
     if off > allowed * scale:
         wrong.append(f"the energies differ by {off:.2g} J")
     _, pairs, gap = traj.gaps
     if len(pairs) and np.nanmin(gap) < -2e-9:
         wrong.append(f"overlap {np.nanmin(gap):.2g} m")
-    return str(traj.status.code), wrong
+    return traj.status.ok, wrong
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_drawn_laws(seed: int) -> None:
     """Losses are losses, energies balance and nothing overlaps."""
-    status, wrong = examine(seed)
+    ended, wrong = examine(seed)
     assert not wrong, wrong
-    assert status in ("0", "StatusCode.SUCCESS", "SUCCESS"), status
+    assert ended
 
 
 @pytest.mark.long
 def test_many_drawn_laws() -> None:
-    """The same for hundreds of scenes; the rate of runs that end by themselves is told."""
+    """The same for hundreds of scenes."""
     found = [examine(1000 + seed) for seed in range(LONG)]
     failed = {1000 + seed: wrong for seed, (_, wrong) in enumerate(found) if wrong}
     assert not failed, failed
-    assert sum(status in ("0", "StatusCode.SUCCESS", "SUCCESS") for status, _ in found) >= 0.98 * LONG
+    assert all(ended for ended, _ in found)

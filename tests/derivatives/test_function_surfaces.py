@@ -11,24 +11,10 @@ import pytest
 import contactvi as cvi
 from derivatives.differences import transpose_error
 from derivatives.test_persistent_sensitivity import Start, check
+from helpers.wavy_ground import bend, slope, waves
 
 MOVING = [1.0, 0.3, -0.1, 0.5, 0.2, 0.3]
 ORDER_2, ORDER_4 = {"dt": 0.01, "order": 2}, {"dt": 0.01, "order": 4}
-
-
-def waves(p: np.ndarray) -> np.ndarray:
-    return 0.05 * np.sin(3.0 * p[:, 0]) * np.cos(3.0 * p[:, 1])
-
-
-def slope(p: np.ndarray) -> np.ndarray:
-    x, y = 3.0 * p.T
-    return 0.15 * np.stack([np.cos(x) * np.cos(y), -np.sin(x) * np.sin(y)], axis=1)
-
-
-def bend(p: np.ndarray) -> np.ndarray:
-    x, y = 3.0 * p.T
-    same, mixed = -np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y)
-    return 0.45 * np.array([[same, mixed], [mixed, same]]).transpose(2, 0, 1)
 
 
 SURFACES: dict[str, dict[str, Any]] = {

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from contactvi.verify import systems
 from oracles import friction_laws as right
 
 BOX = (0.2, 0.2, 0.1)
@@ -67,20 +67,10 @@ def test_a_belt_that_swings(order: int, dt: float) -> None:
 @pytest.mark.parametrize(("order", "dt"), [(2, 0.005), *ORDERS])
 def test_a_ball_on_a_turntable(order: int, dt: float) -> None:
     """A ball that rolls on a turntable goes round a circle with 2/7 of the table's rate, wherever it is."""
-    radius, rate, place, v = 0.1, 3.0, np.array([0.5, 0.1, 0.1]), np.array([0.1, 0.2, 0.0])
-    scene = cvi.Scene()
-    scene.add_halfspace(name="table")
-    scene.add_sphere("ball", radius)
-    scene.set_contact(friction=0.5, restitution=0.0)
-    scene.set_surface_velocity("table", angular=(0.0, 0.0, rate))
-    slip = np.cross([0.0, 0.0, rate], place) - v
-    spin = [slip[1] / radius, -slip[0] / radius, 0.4]
-    run = cvi.simulate(scene, [*place, 0, 0, 0, 1], [*v, *spin], duration=1.0, dt=dt, order=order)
-    turn, path = turning(2.0 / 7.0 * rate)
-    world = pin.Quaternion(run.q[-1][3:]).matrix() @ run.v[-1][:3]
-    tolerance = {2: 3e-6, 4: 3e-9, 8: 1e-13}[order]
-    np.testing.assert_allclose(world[:2], turn @ v[:2], atol=tolerance)
-    np.testing.assert_allclose(run.q[-1][:2], place[:2] + path @ v[:2] / (2.0 / 7.0 * rate), atol=tolerance)
+    scene, q, v, place = systems.ball_on_turntable()
+    run = cvi.simulate(scene, q, v, duration=1.0, dt=dt, order=order)
+    tolerance = {2: 3e-6, 4: 3e-9, 8: 1e-13}[order]  # of the orders, from the steps
+    np.testing.assert_allclose(run.q[-1][:2], place(1.0), atol=tolerance)
 
 
 def test_an_impact_on_a_belt() -> None:
@@ -148,7 +138,6 @@ def test_a_slide_along_axes(order: int, dt: float, turned: float) -> None:
     slide = right.Ellipse(v, *mu)
     turn, _ = turning(turned)
     scene = box_on_ground(mu, friction_axis=[*(turn @ [1.0, 0.0]), 0.0])
-    # Its height is small, so that it does not tip; four points share its load evenly enough to keep it from turning.
     run = cvi.simulate(scene, FLAT, [*(turn @ v), 0, 0, 0, 0], duration=0.2, dt=dt, order=order)
     place, speed = slide.at(0.2)
     np.testing.assert_allclose(run.v[-1][:2], turn @ speed, atol=1e-6)
@@ -262,3 +251,44 @@ def test_derivatives_are_refused() -> None:
     with pytest.raises(cvi.NotDifferentiable, match="law") as refused:
         run.sensitivity("friction")
     assert refused.value.reason == "law"
+
+
+def test_functions_that_fail_say_so() -> None:
+    """Friction, adhesion and profiles that raise or return nonsense end the run with the name of the pair."""
+
+    def broken(x: float) -> float:
+        if x > 0.01:
+            raise ValueError("no more")
+        return 0.4
+
+    for given in ({"mu": broken}, {"adhesion": broken}, {"mu": lambda v: math.nan if v > 0.0 else 0.4}):
+        with pytest.raises(cvi.UserFunctionError, match="'ground' and 'box'"):
+            cvi.simulate(box_on_ground(**given), FLAT, [0.2, 0, 0, 0, 0, 0], duration=0.1, dt=0.01, order=4)
+    scene = box_on_ground()
+    scene.set_surface_velocity("ground", (1.0, 0.0, 0.0), profile=broken)
+    with pytest.raises(cvi.UserFunctionError, match="the surface of 'ground'"):
+        cvi.simulate(scene, FLAT, np.zeros(6), duration=0.1, dt=0.01, order=4)
+
+
+def test_the_last_law_of_friction_counts() -> None:
+    """A number, a function and an axis replace each other; those of two sides have to agree."""
+    scene = box_on_ground(lambda v: 0.5 / (1.0 + v), static_friction=0.9)
+    scene.set_contact("ground", "box", friction=(0.2, 0.2), friction_axis=(1.0, 0.0, 0.0))
+    scene.set_contact("ground", "box", friction=0.2)
+    plain = box_on_ground(0.2)
+    runs = [cvi.simulate(s, FLAT, [1.0, 0, 0, 0, 0, 0], duration=0.1, dt=0.01) for s in (scene, plain)]
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+    mixed = cvi.Scene()
+    mixed.add_halfspace(name="ground")
+    mixed.add_box("box", BOX, mass=MASS)
+    mixed.set_contact("ground", friction=(0.2, 0.4), friction_axis=(1.0, 0.0, 0.0))
+    mixed.set_contact("box", friction=[(0.0, 0.5), (1.0, 0.3)])
+    with pytest.raises(cvi.SceneError, match="two sides"):
+        cvi.simulate(mixed, FLAT, duration=0.1, dt=0.01)
+    mixed = cvi.Scene()
+    mixed.add_halfspace(name="ground")
+    mixed.add_box("box", BOX, mass=MASS)
+    mixed.set_contact("ground", friction=(0.2, 0.4), friction_axis=(1.0, 0.0, 0.0))
+    mixed.set_contact(friction=[(0.0, 0.5), (1.0, 0.3)])
+    with pytest.raises(cvi.SceneError, match="direction"):
+        cvi.simulate(mixed, FLAT, duration=0.1, dt=0.01)

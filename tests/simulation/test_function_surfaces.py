@@ -13,32 +13,16 @@ import pytest
 import contactvi as cvi
 from contactvi import UserFunctionError
 from contactvi.errors import InputError, SceneError
+from helpers.wavy_ground import HIGH, WAVE, bend, slope, waves
 from oracles.surface_ball import GRAVITY, BallOnSurface
 
 RADIUS = 0.1
-HIGH, WAVE = 0.05, 3.0  # waves in which a ball of RADIUS has one nearest point: 1 / (HIGH WAVE^2) > RADIUS
 
-
-def waves(p: np.ndarray) -> np.ndarray:
-    return HIGH * np.sin(WAVE * p[:, 0]) * np.cos(WAVE * p[:, 1])
-
-
-def waves_gradient(p: np.ndarray) -> np.ndarray:
-    x, y = WAVE * p.T
-    return HIGH * WAVE * np.stack([np.cos(x) * np.cos(y), -np.sin(x) * np.sin(y)], axis=1)
-
-
-def waves_hessian(p: np.ndarray) -> np.ndarray:
-    x, y = WAVE * p.T
-    same, mixed = -np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y)
-    return HIGH * WAVE**2 * np.array([[same, mixed], [mixed, same]]).transpose(2, 0, 1)
-
-
-WAVES: dict[str, Any] = {"height": waves, "gradient": waves_gradient, "hessian": waves_hessian}
+WAVES: dict[str, Any] = {"height": waves, "gradient": slope, "hessian": bend}
 ORACLE = BallOnSurface(
     lambda u: float(waves(u[None])[0]),
-    lambda u: waves_gradient(u[None])[0],
-    lambda u: waves_hessian(u[None])[0],
+    lambda u: slope(u[None])[0],
+    lambda u: bend(u[None])[0],
     RADIUS,
 )
 
@@ -449,9 +433,9 @@ def test_a_sharp_crest_has_no_foot() -> None:
 def test_arguments_are_checked() -> None:
     scene = cvi.Scene()
     for wrong in (
-        {}, {"height": waves, "distance": waves}, {"height": 3.0}, {"height": waves, "hessian": waves_hessian},
+        {}, {"height": waves, "distance": waves}, {"height": 3.0}, {"height": waves, "hessian": bend},
         {"height": waves, "extent": [(1, -1), (0, 1)]},
-        {"height": waves, "gradient": lambda p: 2.0 * waves_gradient(p)},
+        {"height": waves, "gradient": lambda p: 2.0 * slope(p)},
         {"distance": lambda p: 2.0 * (np.linalg.norm(p, axis=1) - 0.5)}, {"height": Compiled(), "gradient": waves},
     ):  # fmt: skip
         with pytest.raises(InputError):
