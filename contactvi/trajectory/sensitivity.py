@@ -91,6 +91,19 @@ class DenseStepSensitivity:
 
 
 @dataclass(frozen=True)
+class Kink:
+    """A place of a run where a direction leads to both sides of a kink.
+
+    Attributes:
+        time: [s]. pair: of the contact, None: of no single one. reason: as of NotDifferentiable.
+    """
+
+    time: float
+    pair: tuple[str, str] | None
+    reason: str
+
+
+@dataclass(frozen=True)
 class SensitivityReport:
     """How far derivatives of a run can be trusted.
 
@@ -99,11 +112,14 @@ class SensitivityReport:
         growth: largest derivative of a state on the way, relative to that of the start; 0 with respect to what does not
             change the start.
         dense_steps: the dense steps on the way that are approximate or near a kink, in the order of time.
+        kinks: with on_kink="taken", where some column has a kink, and is the derivative of what the run did there: an
+            element of the generalised derivative (Clarke). Combinations of the other columns are derivatives.
     """
 
     events: tuple[EventSensitivity, ...]
     growth: float
     dense_steps: tuple[DenseStepSensitivity, ...] = ()
+    kinks: tuple[Kink, ...] = ()
 
     @property
     def approximate(self) -> bool:
@@ -121,6 +137,7 @@ class SensitivityReport:
             f"t = {s.time:.9g} s  dense step  error {s.error:.3g}  margin {s.margin:.3g}  {s.reason or 'near a kink'}"
             for s in self.dense_steps
         ]
+        lines += [f"t = {k.time:.9g} s  {' | '.join(k.pair or ())}  kink ({k.reason}), as taken" for k in self.kinks]
         return "\n".join(lines)
 
 
@@ -136,15 +153,17 @@ class Sensitivity:
         wrt: what they are with respect to, any of
 
             - "q0": the start, as a tangent vector of Pinocchio (nv columns); "v0": its velocity (nv);
-            - "control": generalized forces added to all steps (nv);
+            - "control": generalized forces added to all steps (nv); "control:joint": of this joint or free body alone;
             - "gravity" (3), "mass:joint" (1), "inertia:joint" (10), "armature:joint", "stiffness:joint",
               "damping:joint", "rest:joint", "kp:joint", "kd:joint": as for contactvi.gradient;
             - "restitution", "friction": a number added to those of all pairs, and of all limits, that have some (1);
               "restitution:a|b", "friction:a|b": of the pair of these shapes, or of a joint and its limit (1);
               "restitution:joint": of both limits of a joint (1).
-        on_kink: "raise", or "taken": where several contacts were hit at one instant, the derivative of the order in
-            which the run took them; where points of a dense step share a load in a way that decides about the motion,
-            that with impulses of least norm, which is not the run's (`report.approximate`).
+        on_kink: "raise", or "taken": at a kink the derivative of what the run did, `report.kinks` tells where. Where
+            several contacts were hit at one instant it is that of their order; a contact that an impact of others
+            leaves at rest takes no part in it; what stands on a face keeps standing on it; what is at the limit of its
+            friction without a slip sticks. Where points share a load in a way that decides about the motion it is that
+            with impulses of least norm, which is not the run's.
 
     Attributes:
         names: what was asked for. columns: name -> slice of columns.
@@ -227,7 +246,8 @@ class Sensitivity:
             EventSensitivity(log[i].time, log[i].pair, approach, margin, guards > 1)
             for i, approach, margin, guards in entries
         )
-        return SensitivityReport(events, found["growth"], dense_report(found))
+        kinks = tuple(Kink(at["time"], _pair_of(self._traj, at), at["reason"]) for at in found["kinks"])
+        return SensitivityReport(events, found["growth"], dense_report(found), kinks)
 
 
 def dense_report(found: dict[str, Any]) -> tuple[DenseStepSensitivity, ...]:
@@ -305,9 +325,14 @@ def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.Kep
     return [_core.KeptContactSteps(compiled.core, steps, blocks, dense, held), *inputs.contact_steps]
 
 
+def _pair_of(traj: Recorded, found: dict[str, Any]) -> tuple[str, str] | None:
+    """Return the pair of a place that the engine names; None: it is of none."""
+    return traj.events.label(found["kind"], found["index"]) if found["index"] >= 0 else None
+
+
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:
     """Return the error for the engine's reason why there is no derivative."""
-    pair = traj.events.label(found["kind"], found["index"]) if found["index"] >= 0 else None
+    pair = _pair_of(traj, found)
     where = f", t = {found['time']:.9g} s" + ("" if pair is None else f", {pair[0]} - {pair[1]}")
     return NotDifferentiable(
         found["fact"], reason=found["reason"], pair=pair, time=found["time"], expected=found["expected"],
@@ -357,13 +382,27 @@ def _part(
     if parameters.is_parameter(name):
         return "parameters", parameters.directions_of(compiled.built.model, name)
     entry = {"q0": "q", "v0": "v", "control": "tau", "restitution": "e", "friction": "mu"}.get(kind)
-    if entry is None or (pair and entry not in ("e", "mu")):
+    if entry is None or (pair and entry not in ("e", "mu", "tau")):
         known = ("q0", "v0", "control", *parameters.CONTACT_NAMES, *parameters.NAMES)
         raise InputError(
             "Nothing of the run has this name", name="wrt", expected=f"one of {', '.join(known)}", got=name,
             remedy=did_you_mean(kind, known),
         )  # fmt: skip
+    if kind == "control" and pair:
+        return entry, _joint_columns(compiled.built.model, pair)
     return entry, laws.column(entry, pair) if entry in ("e", "mu") else np.eye(compiled.states.nv)
+
+
+def _joint_columns(model: Any, joint: str) -> Array:
+    """Return the columns of the unit matrix of one joint, shape (nv, its degrees of freedom)."""
+    names = tuple(model.names)[1:]
+    if joint not in names:
+        raise InputError(
+            "Nothing of the run has this name", name="wrt", expected="'control:' and the name of a joint or free body",
+            got=repr(joint), remedy=did_you_mean(joint, names),
+        )  # fmt: skip
+    k = model.getJointId(joint)
+    return np.eye(model.nv)[:, model.idx_vs[k] : model.idx_vs[k] + model.nvs[k]]
 
 
 class Laws:

@@ -7,7 +7,9 @@
 
 namespace contactvi {
 
-// fact, reason, expected, got, remedy, time, and kind and index of the guard.
+// reason, time, and kind and index of the guard.
+Dict place_of(const Scene& scene, const Obstacle& at);
+// These, and fact, expected, got, remedy.
 Dict obstacle_of(const Scene& scene, const NoDerivative& reason);
 
 }  // namespace contactvi

@@ -141,6 +141,9 @@ class Recorded {
     result["dense_error"] = error;
     result["dense_margin"] = near;
     result["dense_why"] = why;
+    std::vector<Dict> kinks;
+    for (const Obstacle& at : found.kinks) kinks.push_back(place_of(scene_, at));
+    result["kinks"] = kinks;
     return result;
   }
 
@@ -361,14 +364,19 @@ class Recorded {
 
 }  // namespace
 
-Dict obstacle_of(const Scene& scene, const NoDerivative& reason) {
+Dict place_of(const Scene& scene, const Obstacle& at) {
   Dict d;
-  const PublicGuard guard = public_guard(scene, reason.where.guard);
-  d["fact"] = std::string(reason.what());
-  d["reason"] = std::string(reason.where.reason);
+  const PublicGuard guard = public_guard(scene, at.guard);
+  d["reason"] = std::string(at.reason);
   d["kind"] = static_cast<int>(guard.kind);
   d["index"] = guard.index;
-  d["time"] = reason.where.time;
+  d["time"] = at.time;
+  return d;
+}
+
+Dict obstacle_of(const Scene& scene, const NoDerivative& reason) {
+  Dict d = place_of(scene, reason.where);
+  d["fact"] = std::string(reason.what());
   d["expected"] = reason.expected;
   d["got"] = reason.got;
   d["remedy"] = reason.remedy;

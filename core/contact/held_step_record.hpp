@@ -19,6 +19,7 @@ struct HeldStepRecord {
   MatX rates;        // of the charts at its stages, (nv, s)
   MatX lambda = {};  // impulses of its rows at its nodes, (rows, s + 1)
   MatX angles = {};  // directions of the slips there, from the first tangents, (sliding contacts, s + 1)
+  MatX slips = {};   // and the speeds along them [m/s]
   // As they are before the step, which are those of the rows after the constraints'.
   std::vector<PersistentContact> contacts = {};
   std::vector<FrictionJoint> joints = {};

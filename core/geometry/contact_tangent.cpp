@@ -18,6 +18,7 @@ constexpr double kLeastPivot = 1e-9;
 // bodies] is rounding. From nearest points with 3 digits that are three steps.
 constexpr double kConverged = 1e-9;
 constexpr int kNewton = 20;
+constexpr double kAcross = 1e-9;  // the part of an axis in the tangent plane: with less it has no direction there
 
 }  // namespace
 
@@ -33,6 +34,7 @@ std::string ContactTangent::names() const { return std::string(surface_[0].name(
 bool ContactTangent::take(const VecCRef& q, int guard, const Contact& contact, const ContactPoint* point) {
   twists_.place(q);
   contact_ = contact;
+  law_ = nullptr;
   is_limit_ = !scene_->is_pair(guard);
   if (is_limit_) return true;
   if (!std::isfinite(contact.gap)) return refuse("the distance of the shapes is not known");
@@ -40,7 +42,25 @@ bool ContactTangent::take(const VecCRef& q, int guard, const Contact& contact, c
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   scale_ = a.unbounded ? b.radius : b.unbounded ? a.radius : std::min(a.radius, b.radius);
   const bool is_known = point != nullptr && point->kind != PointKind::kWitness && point->kind != PointKind::kLimit;
-  return is_known ? take_point(*point) : take_witness(guard);
+  return (is_known ? take_point(*point) : take_witness(guard)) && take_axis(pair);
+}
+
+bool ContactTangent::take_axis(const Pair& pair) {
+  if (pair.law < 0 || scene_->laws[pair.law].axis_of < 0) return true;
+  law_ = &scene_->laws[pair.law];
+  const Geometry& g = scene_->geometries[law_->axis_of == 0 ? pair.a : pair.b];
+  axis_body_ = g.body;
+  axis_ = pose_of(g.body, twists_.placements()).R * (g.R_BG * law_->axis);
+  const double across = axis_.cross(contact_.normal).norm();
+  return across > kAcross || refuse("the axis of its friction is along the normal");
+}
+
+// About the normal, of the tangents along the axis of friction that depends on the direction.
+double ContactTangent::turn_about_normal(const Vec3& t1) const {
+  const Vec3& n = contact_.normal;
+  const double height = axis_.dot(n);
+  const Vec3 moved = twists_.turn(axis_body_).cross(axis_) - height * dn_;
+  return n.cross(t1).dot(moved) / (axis_ - height * n).norm();
 }
 
 bool ContactTangent::take_point(const ContactPoint& p) {
@@ -190,7 +210,7 @@ bool ContactTangent::set_system() {
 
 void ContactTangent::change(const VecCRef& dq, const Vec3& t1, Eigen::Ref<MatX> dW) {
   dW.setZero();
-  dn_ = dx_[0] = dx_[1] = Vec3::Zero();
+  dn_ = dx_[0] = dx_[1] = dt_[0] = dt_[1] = Vec3::Zero();
   if (is_limit_) return;
   twists_.move(dq);
   const Vec3 n = contact_.normal;
@@ -215,8 +235,12 @@ void ContactTangent::change(const VecCRef& dq, const Vec3& t1, Eigen::Ref<MatX> 
     const double sign = side == 0 ? 1.0 : -1.0;
     dx_[side] = moved[side] + slide + sign * surface_[side].sweep() * dn_;
   }
-  const Vec3 none = Vec3::Zero(), dt1 = -dn_.dot(t1) * n;
-  const Vec3 rows[3] = {n, t1, n.cross(t1)}, changes[3] = {dn_, dt1, dn_.cross(t1)};
+  const Vec3 none = Vec3::Zero(), t2 = n.cross(t1);
+  const double about = law_ != nullptr ? turn_about_normal(t1) : 0.0;
+  dt_[0] = about * t2 - dn_.dot(t1) * n;
+  dt_[1] = dn_.cross(t1) - about * t1;
+  const Eigen::Vector2d own = shares();
+  const Vec3 rows[3] = {n, own[0] * t1, own[1] * t2}, changes[3] = {dn_, own[0] * dt_[0], own[1] * dt_[1]};
   for (int k = 0; k < static_cast<int>(dW.cols()); ++k) {
     const Vec3 &F = rows[k], &dF = changes[k];
     twists_.add_wrench(contact_.body_b, contact_.point_b, dx_[1], F, dF, none, none, dW.col(k));

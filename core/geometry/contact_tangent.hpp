@@ -10,6 +10,9 @@
 // where an infinite radius of curvature in R stands for: no turn of the normal in that direction, and a free slide.
 // That is one linear system for dn, s_A and s_B, whatever features meet. It is singular where the nearest points are
 // not unique.
+//
+// The tangents turn with the normal by the shortest turn; those of friction that depends on the direction stay along
+// the axis of its law, which turns with its body.
 #pragma once
 
 #include <Eigen/LU>
@@ -39,13 +42,18 @@ class ContactTangent {
   const ContactSurface& surface(int side) const { return surface_[side]; }
 
   // The derivative along dq, shape (nv,), of the rows n, t1, t2 (or n alone) as columns of dW, (nv, 1 or 3); zero for a
-  // joint limit. Tangent vectors are body-fixed on spherical joints, as dq and the rows are. t1 turns with n by the
-  // shortest turn; t2 = n x t1.
+  // joint limit. Tangent vectors are body-fixed on spherical joints, as dq and the rows are. t2 = n x t1. The rows of
+  // friction that depends on the direction have its shares (TangentFrame).
   void change(const VecCRef& dq, const Vec3& t1, Eigen::Ref<MatX> dW);
+  bool has_axis() const { return law_ != nullptr; }
+  Eigen::Vector2d shares() const { return law_ != nullptr ? law_->shares : Eigen::Vector2d(1.0, 1.0); }
   // Derivatives of the normal and of the points of a and b along the last dq, world frame.
   const Vec3& normal_change() const { return dn_; }
   const Vec3& point_a_change() const { return dx_[0]; }
   const Vec3& point_b_change() const { return dx_[1]; }
+  // And those of both tangents, the bodies' motion.
+  const Vec3& tangent_change(int k) const { return dt_[k]; }
+  const BodyTwists& twists() const { return twists_; }
 
  private:
   using Vec6 = Eigen::Matrix<double, 6, 1>;
@@ -57,6 +65,8 @@ class ContactTangent {
   bool find(const Pair& pair, const Pose (&pose)[2], bool nearby, ContactSurface (&found)[2]);
   bool polish();
   bool set_system();
+  bool take_axis(const Pair& pair);
+  double turn_about_normal(const Vec3& t1) const;
   bool refuse(const std::string& why);
   std::string names() const;
   int body(int side) const { return side == 0 ? contact_.body_a : contact_.body_b; }
@@ -76,7 +86,11 @@ class ContactTangent {
   double points_weight_ = 1.0;  // of the rows of the points' motion
   double weight_[2][2];         // of the rows of the principal directions of a and of b
   Eigen::FullPivLU<Eigen::Matrix<double, 6, 6>> system_;
-  Vec3 dn_{}, dx_[2];
+  Vec3 dn_{}, dx_[2], dt_[2];
+  // Friction that depends on the direction: its law, null: it does not, with the axis in the world and its body.
+  const ContactLaw* law_ = nullptr;
+  Vec3 axis_{};
+  int axis_body_ = -1;
 };
 
 }  // namespace contactvi

@@ -63,6 +63,7 @@ void Simulator::keep_held_step(bool switches) {
   if (!modes_.active()) return;
   HeldStepRecord& record = kept_held_steps_.back();
   record.angles = integrator_.constraints()->slip_angles();
+  record.slips = integrator_.constraints()->slips();
   record.contacts = contact_step_.contacts();
   record.joints = contact_step_.friction_joints();
   const int function = switches ? switches_.which() - branches_.count() : -1;

@@ -1,11 +1,12 @@
 #include "sensitivity/contact_piece_adjoint.hpp"
 
 #include "sensitivity/contact_pieces.hpp"
+#include "sensitivity/known_laws.hpp"
 
 namespace contactvi {
 
-ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
-    : scene_(&scene), run_(&run), adjoint_(scene), take_branch_(take_branch), force_(scene, run) {}
+ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, Kinks& kinks)
+    : scene_(&scene), run_(&run), adjoint_(scene, kinks), kinks_(&kinks), force_(scene, run) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();
@@ -21,13 +22,13 @@ void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   inputs_ = &inputs;
   number_ = piece.step;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points, take_branch_);
+    if (!held_) held_ = std::make_unique<HeldStepAdjoint>(*scene_, run_->stages, run_->contact_points, *kinks_);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
     force_ends_ = ends_by_force(piece, held_->tangent(), inputs, force_);
     return;
   }
   if (dense_step_ != nullptr) {
-    if (!dense_) dense_ = std::make_unique<DenseStepAdjoint>(*scene_, take_branch_);
+    if (!dense_) dense_ = std::make_unique<DenseStepAdjoint>(*scene_, *kinks_);
     dense_->take(*dense_step_, inputs.tau(), inputs.servo());
     return;
   }
@@ -140,7 +141,7 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, double lenergy
   result.end_step(number_, gradient_.tau);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const PersistentContact& before = s.contacts[i].before;
-    if (before.mu > 0.0) result.mu[before.point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
+    if (takes_friction(*scene_, before)) result.mu[before.point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
     if (!before.anchored) continue;
     const Vec3 gradient = take_anchor(before.point) + gradient_.anchors.col(static_cast<Eigen::Index>(i));
     anchors_.push_back({before.point, s.t, gradient});
@@ -178,7 +179,8 @@ void ContactPieceAdjoint::pass_held(VecX& lq, VecX& lp, double& ltime, RunGradie
   lp = gradient_.p;
   const std::vector<PersistentContact>& contacts = held_piece_->held->contacts;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
-    if (contacts[i].mu > 0.0) result.mu[contacts[i].point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
+    if (takes_friction(*scene_, contacts[i]))
+      result.mu[contacts[i].point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
     if (!contacts[i].keeps_place()) continue;
     const Vec3 gradient = held_anchors_.col(static_cast<Eigen::Index>(i));
     if (contacts[i].anchored) {
@@ -230,7 +232,8 @@ void ContactPieceAdjoint::pass_force(double lforce, VecX& lq, VecX& lp, RunGradi
   result.end_step(number_, force);
   for (Eigen::Index i = 0; i < count; ++i) {
     const PersistentContact& before = contacts[static_cast<std::size_t>(i)].before;
-    if (before.mu > 0.0) result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(count, i));
+    if (takes_friction(*scene_, before))
+      result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(count, i));
   }
 }
 

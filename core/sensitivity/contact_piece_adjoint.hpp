@@ -15,7 +15,7 @@ namespace contactvi {
 
 class ContactPieceAdjoint {
  public:
-  ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch);
+  ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, Kinks& kinks);
 
   // The end of a run: nothing depends on where contacts stick.
   void start();
@@ -54,7 +54,7 @@ class ContactPieceAdjoint {
   ContactStepAdjoint adjoint_;
   std::unique_ptr<DenseStepAdjoint> dense_;  // made for the first dense step
   std::unique_ptr<HeldStepAdjoint> held_;    // and for the first held one
-  bool take_branch_;
+  Kinks* kinks_;
   EndForce force_;
   bool force_ends_ = false;  // the held step that was taken
   const Piece* piece_ = nullptr;

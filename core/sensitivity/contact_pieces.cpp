@@ -1,14 +1,15 @@
 #include "sensitivity/contact_pieces.hpp"
+#include "sensitivity/known_laws.hpp"
 
 #include <cmath>
 
 namespace contactvi {
 
-ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch)
+ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, Kinks& kinks)
     : scene_(&scene),
       run_(&run),
-      tangent_(scene),
-      take_branch_(take_branch),
+      tangent_(scene, kinks),
+      kinks_(&kinks),
       force_(scene, run),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 
@@ -43,7 +44,7 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   held_piece_ = piece.held != nullptr ? &piece : nullptr;
   inputs_ = &inputs;
   if (held_piece_ != nullptr) {
-    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages, run_->contact_points, take_branch_);
+    if (!held_) held_ = std::make_unique<HeldStepTangent>(*scene_, run_->stages, run_->contact_points, *kinks_);
     for (const PersistentContact& c : piece.held->contacts)
       if (c.anchored && anchor_of(c.point) == nullptr) refuse_sticking_start(c.point, piece.t);
     held_->take(*piece.held, inputs.tau(), inputs.servo());
@@ -51,7 +52,7 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
     return;
   }
   if (dense_step_ != nullptr) {
-    if (!dense_) dense_ = std::make_unique<DenseStepTangent>(*scene_, take_branch_);
+    if (!dense_) dense_ = std::make_unique<DenseStepTangent>(*scene_, *kinks_);
     dense_->take(*dense_step_, inputs.tau(), inputs.servo());
     return;
   }
@@ -186,11 +187,12 @@ void ContactPieces::check_rests(const std::vector<VecX>& slips, const std::vecto
     slip_[column] = slips[k][0];
     if (rates[0] == 0.0) continue;
     const VecX with_first = rates * (slips[k][0] / rates[0]), size = sizes[k] + slips[k].cwiseAbs();
-    if (take_branch_ || ((slips[k] - with_first).array().abs() <= kTogether * size.array()).all()) continue;
-    throw NoDerivative({"stick", -1, held_piece_->t + held_piece_->h}, "Several slips come to rest at one instant",
-                       "one slip that comes to rest, or several that all directions bring to rest together",
-                       "slips that a direction brings to rest one after the other",
-                       "Start elsewhere; on_kink='taken' gives the derivative of what was taken");
+    if (((slips[k] - with_first).array().abs() <= kTogether * size.array()).all()) continue;
+    kinks_->meet(NoDerivative({"stick", -1, held_piece_->t + held_piece_->h},
+                              "Several slips come to rest at one instant",
+                              "one slip that comes to rest, or several that all directions bring to rest together",
+                              "slips that a direction brings to rest one after the other",
+                              "Start elsewhere; on_kink='taken' gives the derivative of what was taken"));
   }
 }
 
@@ -216,7 +218,7 @@ VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column)
   for (std::size_t i = 0; i < count; ++i) {
     const PersistentContact& before =
         held_piece_ != nullptr ? held_piece_->held->contacts[i] : step_->contacts[i].before;
-    dmu[static_cast<Eigen::Index>(i)] = before.mu > 0.0 ? d.mu(before.point.guard, column) : 0.0;
+    dmu[static_cast<Eigen::Index>(i)] = takes_friction(*scene_, before) ? d.mu(before.point.guard, column) : 0.0;
   }
   return dmu;
 }

@@ -34,7 +34,7 @@ bool ends_by_force(const Piece& piece, HeldStepTangent& step, const PieceInputs&
 
 class ContactPieces {
  public:
-  ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch);
+  ContactPieces(const Scene& scene, const RecordedRun& run, Kinks& kinks);
 
   // The start of a run along so many directions: nothing sticks.
   void start(Eigen::Index count);
@@ -74,7 +74,7 @@ class ContactPieces {
   ContactStepTangent tangent_;
   std::unique_ptr<DenseStepTangent> dense_;  // made for the first dense step
   std::unique_ptr<HeldStepTangent> held_;    // and for the first held one
-  bool take_branch_;
+  Kinks* kinks_;
   EndForce force_;
   bool force_ends_ = false;  // the held step that was taken
   const Piece* piece_ = nullptr;

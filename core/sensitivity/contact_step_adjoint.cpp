@@ -7,9 +7,9 @@
 
 namespace contactvi {
 
-ContactStepAdjoint::ContactStepAdjoint(const Scene& scene)
+ContactStepAdjoint::ContactStepAdjoint(const Scene& scene, Kinks& kinks)
     : scene_(&scene),
-      tangent_(scene),
+      tangent_(scene, kinks),
       adjoint_(scene.tree, 1),
       W0_of_q0_(static_cast<std::size_t>(scene.tree.nv)),
       W1_of_q0_(W0_of_q0_),
@@ -30,18 +30,20 @@ void ContactStepAdjoint::set_matrices() {
   const VecX& none = t.none_;
   const ContactStepDirection nothing;
   VecX unit = none, dy;
-  for (MatX* Y : {&y_of_q0_, &y_of_q1_, &y_of_v_}) Y->resize(t.rows_, n);
+  for (MatX* Y : {&y_of_q0_, &y_of_q1_, &y_of_v_, &own_of_q0_, &own_of_q1_}) Y->resize(t.rows_, n);
   for (int k = 0; k < n; ++k) {
     unit[k] = 1.0;
     t.set_start_rows(unit, 0.0);
     t.set_end_rows(none, 0.0);
     W0_of_q0_[k] = t.dW0_;
     W1_of_q0_[k] = t.dW1_;
+    own_of_q0_.col(k) = t.down1_;
     t.row_changes(unit, none, none, nothing, dy);
     y_of_q0_.col(k) = dy;
     t.set_start_rows(none, 0.0);
     t.set_end_rows(unit, 0.0);
     W1_of_q1_[k] = t.dW1_;
+    own_of_q1_.col(k) = t.down1_;
     t.row_changes(none, unit, none, nothing, dy);
     y_of_q1_.col(k) = dy;
     t.set_end_rows(none, 0.0);
@@ -53,6 +55,7 @@ void ContactStepAdjoint::set_matrices() {
   direction.h = 1.0;
   t.set_start_rows(none, 0.0);
   t.set_end_rows(none, 1.0);
+  own_of_t_ = t.down1_;
   t.row_changes(none, none, none, direction, y_of_h_);
   direction.h = 0.0;
   direction.t = 1.0;
@@ -105,7 +108,8 @@ void ContactStepAdjoint::law_gradient(const Problem& problem, const VecX& lc, Ve
     const Eigen::Vector2d slip = tangent_.slip_of(problem, i), l = lc.segment<2>(r + 1);
     lmu_[i] += problem.lambda[r] * slip.normalized().dot(l);
     VecX& changed = mode == Mode::kKept ? ldy : lbase;
-    changed.segment<2>(r + 1) += problem.lambda[r] * contact.before.mu * tangent_.turn(slip).transpose() * l;
+    changed.segment<2>(r + 1) += problem.lambda[r] * tangent_.mu_[i] * tangent_.turn(problem, i).transpose() * l;
+    ldy.segment<2>(r + 1) += problem.lambda[r] * tangent_.friction_by_slip(slip, i).transpose() * l;
   }
 }
 
@@ -124,13 +128,26 @@ void ContactStepAdjoint::end_gradient(const Problem& problem, const VecX& v, Vec
     lh_ += later;
     lq1_ += end.gradient_rates() * lrates;
   }
+  lq0_.noalias() += own_of_q0_.transpose() * lbase;
+  lq1_.noalias() += own_of_q1_.transpose() * lbase;
+  const double later = own_of_t_.dot(lbase);
+  lt_ += later;
+  lh_ += later;
   const VecX m = tangent_.MinvW_ * lbase;
   lp_minus_ += m;
-  lW1_ += m * problem.lambda.transpose() + v * lbase.transpose();
+  lW1_ += m * tangent_.given(problem.lambda, 1).transpose() + v * lbase.transpose();
+  pass_pull(1, s.W1, m);
   VecX lq(scene_->tree.nv);
   adjoint_.momentum(s.q1, v, -m, lq, work_);
   lq1_ += lq;
   adjoint_.add_momentum_parameters(s.q1, v, -m, sums);
+}
+
+// lp: the gradient in the momentum from which the adhesion at an end is taken.
+void ContactStepAdjoint::pass_pull(int end, const MatX& W, const VecX& lp) {
+  const VecX lpull = -W.transpose() * lp;
+  lt_ += lpull.dot(tangent_.pull_change(end, 1.0, 0.0));
+  lh_ += lpull.dot(tangent_.pull_change(end, 0.0, 1.0));
 }
 
 bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, ContactStepGradient& g,
@@ -143,8 +160,9 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   lp_minus_ = lp;
   lq0_ = VecX::Zero(n);
   ldy_ = none;
-  lW1_ = lp * s.lambda_end.transpose();
+  lW1_ = lp * t.given(s.lambda_end, 1).transpose();
   lh_ = lt_ = 0.0;
+  pass_pull(1, s.W1, lp);
   lmu_ = VecX::Zero(contacts);
   if (s.ending == ContactStepEnd::kStick && lslip != 0.0) {
     VecX lw = none;
@@ -185,9 +203,10 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   g.p.resize(n);
   g.tau.resize(n);
   if (!adjoint_.solve(lq1_, lp_minus_, g.q, g.p, g.h, g.tau)) return false;
+  pass_pull(0, s.W0, g.p);
   adjoint_.add_time(lt_, lh_);
   adjoint_.add_parameters(sums);
-  const MatX lW0 = g.p * s.lambda.transpose();
+  const MatX lW0 = g.p * t.given(s.lambda, 0).transpose();
   for (int k = 0; k < n; ++k) g.q[k] += lq0_[k] + W0_of_q0_[k].cwiseProduct(lW0).sum();
   if (m > 0) lt_ += t.start_constraints_.gradient_rates().cwiseProduct(lW0.leftCols(m)).sum();
   g.h += lh_;

@@ -21,7 +21,7 @@ struct ContactStepGradient {
 
 class ContactStepAdjoint {
  public:
-  explicit ContactStepAdjoint(const Scene& scene);
+  ContactStepAdjoint(const Scene& scene, Kinks& kinks);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
@@ -38,6 +38,7 @@ class ContactStepAdjoint {
 
   void set_matrices();
   void end_gradient(const Problem& problem, const VecX& v, VecX llambda, const VecX& lw, StepParameters& sums);
+  void pass_pull(int end, const MatX& W, const VecX& lp);
   void law_gradient(const Problem& problem, const VecX& lc, VecX& lbase, VecX& ldy);
 
   const Scene* scene_;
@@ -48,6 +49,9 @@ class ContactStepAdjoint {
   // Of ContactStepTangent::row_changes: per unit of q0, q1, the velocity, the length, the time, the anchors.
   MatX y_of_q0_, y_of_q1_, y_of_v_, y_of_anchors_, y_of_joints_;
   VecX y_of_h_, y_of_t_;
+  // Of the velocities that surfaces have of themselves in the rows at the end: per unit of q0, q1, the time there.
+  MatX own_of_q0_, own_of_q1_;
+  VecX own_of_t_;
   // Gradients on the way: in q0, q1, p before the velocity impulse, W1, the changes of the rows.
   VecX lq0_, lq1_, lp_minus_, ldy_;
   MatX lW1_;

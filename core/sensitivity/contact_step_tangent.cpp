@@ -12,8 +12,9 @@ constexpr double kOnCone = 1e-9;  // of the impulses and speeds: nearer to a cha
 constexpr double kLaw = 1e-7;     // of the impulses and speeds: to which the step satisfies its laws
 }  // namespace
 
-ContactStepTangent::ContactStepTangent(const Scene& scene)
+ContactStepTangent::ContactStepTangent(const Scene& scene, Kinks& kinks)
     : scene_(&scene),
+      kinks_(&kinks),
       masses_(scene.tree, 1, 1e-12, 1),
       step_(scene.tree, 1),
       twists0_(scene.tree),
@@ -31,6 +32,11 @@ void ContactStepTangent::refuse(const char* reason, int guard, const std::string
   throw NoDerivative({reason, guard, record_->t}, fact, expected, got, remedy);
 }
 
+void ContactStepTangent::meet(const char* reason, int guard, const std::string& fact, const char* expected,
+                              const std::string& got, const char* remedy) const {
+  kinks_->meet(NoDerivative({reason, guard, record_->t}, fact, expected, got, remedy));
+}
+
 void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, const Servo* servo) {
   record_ = &step;
   margin_ = 1.0;
@@ -45,6 +51,7 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
     end_constraints_.take(step.q1, step.t + step.h);
   }
   take_contacts();
+  take_laws();
   step_.take(step.q0, step.p_start, step.h, tau, step.t, servo, step.v);
   take_position_problem();
   masses_.place_node(step.q1);
@@ -52,9 +59,11 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   masses_.solve_masses(MinvW_);
   G_.noalias() = step.W1.transpose() * MinvW_;
   w_minus_.noalias() = MinvW_.transpose() * step.p_minus;
+  w_minus_ += own_end_;
   if (constraints_ > 0) w_minus_.head(constraints_) += end_constraints_.rates();
   velocity_.lambda = step.lambda_end;
   velocity_.w.noalias() = step.W1.transpose() * step.v1;
+  velocity_.w += own_end_;
   velocity_.joints.clear();
   velocity_.contacts.clear();
   for (std::size_t k = 0; k < step.joints.size(); ++k) {
@@ -75,6 +84,16 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   if (step.ending == ContactStepEnd::kStick) take_released_friction();
 }
 
+// Whether the friction of a contact is against its slip over the step. Of a slip that is as small as what the step leaves
+// of its equations it may not be: then the contact is at the limit of its friction, and sticks.
+bool ContactStepTangent::follows_slip(const ContactStepRecord::Contact& c, double mu) const {
+  const VecX& lambda = record_->lambda;
+  const Eigen::Vector2d& slip = c.outcome.slip;
+  if (slip.norm() > kLaw * (1.0 + record_->v.cwiseAbs().maxCoeff())) return true;
+  const double limit = mu * lambda[c.row];
+  return (lambda.segment<2>(c.row + 1) + limit * slip.normalized()).norm() <= kLaw * limit;
+}
+
 // The geometry of the contacts at both ends, and what they do in the step.
 void ContactStepTangent::take_contacts() {
   const ContactStepRecord& s = *record_;
@@ -83,6 +102,12 @@ void ContactStepTangent::take_contacts() {
     start_.emplace_back(*scene_);
     end_.emplace_back(*scene_);
   }
+  start_surfaces_.assign(n, SurfaceVelocityTangent());
+  end_surfaces_.assign(n, SurfaceVelocityTangent());
+  mu_.assign(n, 0.0);
+  mu_slope_.assign(n, 0.0);
+  directed_.assign(n, 0);
+  own_end_.setZero(rows_);
   position_.lambda = s.lambda;
   position_.w.setZero(rows_);
   dn0_.assign(n, Vec3::Zero());
@@ -106,6 +131,17 @@ void ContactStepTangent::take_contacts() {
       refuse("witness", guard, "The gap of a persistent contact has no second derivative", "one pair of nearest points",
              why, "Start elsewhere, or round the edges of the shapes");
     }
+    if (c.before.mu > 0.0) {
+      const double speed_of_slip = c.outcome.slip.norm();
+      mu_[i] = c.before.mu;
+      if (scene_->friction_varies(guard))
+        mu_[i] = c.before.sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, speed_of_slip);
+      if (!c.before.sticks && scene_->law(guard) != nullptr && scene_->law(guard)->mu.given() && speed_of_slip > 0.0)
+        mu_slope_[i] = scene_->law(guard)->mu.slope(speed_of_slip);
+      start_surfaces_[i].take(*scene_, guard, start_[i], c.t1_start, s.t);
+      end_surfaces_[i].take(*scene_, guard, end_[i], c.t1_end, s.t + s.h);
+      own_end_.segment<2>(c.row + 1) = end_surfaces_[i].velocity();
+    }
     const double normal = s.lambda[c.row];
     if (!(normal > 0.0)) {
       position_.contacts.push_back(Mode::kOpen);
@@ -115,15 +151,34 @@ void ContactStepTangent::take_contacts() {
       position_.contacts.push_back(Mode::kStick);
       continue;
     }
-    const double limit = c.before.mu * normal, friction = s.lambda.segment<2>(c.row + 1).norm();
-    position_.contacts.push_back(c.outcome.slipped ? Mode::kSlip : Mode::kStick);
+    const double limit = mu_[i] * normal, friction = s.lambda.segment<2>(c.row + 1).norm();
+    directed_[i] = c.outcome.slipped && follows_slip(c, mu_[i]);
+    position_.contacts.push_back(directed_[i] ? Mode::kSlip : Mode::kStick);
+    if (c.outcome.slipped && !directed_[i]) margin_ = 0.0;
     position_.w.segment<2>(c.row + 1) = c.outcome.slip;
     margin_ =
         std::min(margin_, c.outcome.slipped ? c.outcome.slip.norm() / (speed + 1e-300) : (limit - friction) / largest);
   }
   if (margin_ < kOnCone)
-    refuse("friction", -1, "A persistent contact changes between sticking and slipping",
-           "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
+    meet("friction", -1, "A persistent contact changes between sticking and slipping",
+         "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
+}
+
+// Adhesion, half of it at each end.
+void ContactStepTangent::take_laws() {
+  const ContactStepRecord& s = *record_;
+  for (int end = 0; end < 2; ++end) {
+    for (VecX* sums : {&pull_[end], &pull_by_t_[end], &pull_by_h_[end]}) sums->setZero(rows_);
+    const double t = end == 0 ? s.t : s.t + s.h;
+    for (const ContactStepRecord::Contact& c : s.contacts) {
+      const double force = adhesion(*scene_, c.before, t);
+      if (force == 0.0) continue;
+      const double rate = c.before.pull_share * scene_->law(c.before.point.guard)->pull.slope(t);
+      pull_[end][c.row] = 0.5 * s.h * force;
+      pull_by_t_[end][c.row] = 0.5 * s.h * rate;
+      pull_by_h_[end][c.row] = 0.5 * (force + (end == 0 ? 0.0 : s.h * rate));
+    }
+  }
 }
 
 // The step must satisfy the laws that are differentiated, with the modes that were found.
@@ -135,7 +190,7 @@ void ContactStepTangent::check_laws() {
       std::max(s.lambda.tail(others).lpNorm<Eigen::Infinity>(), s.lambda_end.tail(others).lpNorm<Eigen::Infinity>());
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
-    const double mu = c.before.mu;
+    const double mu = mu_[i];
     double off_impulse = 0.0, off_speed = 0.0;
     const Mode end = velocity_.contacts[i];
     if (end != Mode::kOpen) off_speed = std::abs(velocity_.w[c.row]);
@@ -209,6 +264,7 @@ Vec3 ContactStepTangent::place_change(int contact, const VecX& dq1) {
 void ContactStepTangent::set_start_rows(const VecX& dq0, double dt) {
   const ContactStepRecord& s = *record_;
   dW0_.setZero();
+  down0_.setZero(rows_);
   if (constraints_ > 0) {
     start_constraints_.change(dq0, dt, dW0_.leftCols(constraints_));
     drate0_ = start_constraints_.rate_change(dq0, dt);
@@ -220,11 +276,15 @@ void ContactStepTangent::set_start_rows(const VecX& dq0, double dt) {
     start_[i].change(dq0, c.t1_start, dW0_.middleCols(r, c.before.rows()));
     dn0_[i] = start_[i].normal_change();
     dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
-    if (c.before.mu == 0.0 || c.before.point.kind != PointKind::kVertex) continue;
+    if (start_surfaces_[i].moves())
+      down0_.segment<2>(r + 1) = start_surfaces_[i].change(start_[i]) + dt * start_surfaces_[i].rate();
+    if (c.before.mu == 0.0 || c.before.point.kind != PointKind::kVertex || start_[i].has_axis()) continue;
     const Vec3 t2 = c.start.normal.cross(c.t1_start);
     const double about = t2.dot(twists0_.turn(c.before.point.plane_body).cross(c.t1_start));
     dW0_.col(r + 1) += about * s.W0.col(r + 2);
     dW0_.col(r + 2) -= about * s.W0.col(r + 1);
+    const Eigen::Vector2d& own = start_surfaces_[i].velocity();
+    down0_.segment<2>(r + 1) += about * Eigen::Vector2d(own[1], -own[0]);
   }
 }
 
@@ -232,6 +292,7 @@ void ContactStepTangent::set_start_rows(const VecX& dq0, double dt) {
 void ContactStepTangent::set_end_rows(const VecX& dq1, double dt) {
   const ContactStepRecord& s = *record_;
   dW1_.setZero();
+  down1_.setZero(rows_);
   if (constraints_ > 0) {
     end_constraints_.change(dq1, dt, dW1_.leftCols(constraints_));
     drate1_ = end_constraints_.rate_change(dq1, dt);
@@ -241,7 +302,9 @@ void ContactStepTangent::set_end_rows(const VecX& dq1, double dt) {
     const ContactStepRecord::Contact& c = s.contacts[i];
     const int r = c.row;
     end_[i].change(dq1, c.t1_end, dW1_.middleCols(r, c.before.rows()));
-    if (c.before.mu == 0.0) continue;
+    if (end_surfaces_[i].moves())
+      down1_.segment<2>(r + 1) = end_surfaces_[i].change(end_[i]) + dt * end_surfaces_[i].rate();
+    if (c.before.mu == 0.0 || end_[i].has_axis()) continue;
     const Vec3 &n0 = c.start.normal, &n1 = c.end.normal, &t = c.t1_start, &dn0 = dn0_[i],
                &dn1 = end_[i].normal_change();
     Vec3 dt1;
@@ -256,6 +319,8 @@ void ContactStepTangent::set_end_rows(const VecX& dq1, double dt) {
     const double about = n1.cross(c.t1_end).dot(dt1);
     dW1_.col(r + 1) += about * s.W1.col(r + 2);
     dW1_.col(r + 2) -= about * s.W1.col(r + 1);
+    const Eigen::Vector2d& own = end_surfaces_[i].velocity();
+    down1_.segment<2>(r + 1) += about * Eigen::Vector2d(own[1], -own[0]);
   }
 }
 
@@ -290,9 +355,10 @@ void ContactStepTangent::row_changes(const VecX& dq0, const VecX& dq1, const Vec
           (s.W1.col(r).dot(dq1) - part * dgap0 + (shorter ? d.h / s.nominal * c.start.gap : 0.0) - value * d.h) / s.h;
     }
     if (c.before.mu == 0.0) continue;
-    if (!point.material) {
+    if (!c.before.counts_by_place()) {
       for (int k = r + 1; k < r + 3; ++k)
-        dy[k] = 0.5 * ((dW0_.col(k) + dW1_.col(k)).dot(s.v) + (s.W0.col(k) + s.W1.col(k)).dot(dv));
+        dy[k] =
+            0.5 * ((dW0_.col(k) + dW1_.col(k)).dot(s.v) + (s.W0.col(k) + s.W1.col(k)).dot(dv) + down0_[k] + down1_[k]);
       continue;
     }
     const Vec3 moved = relative(twists1_, static_cast<int>(i), place(twists1_, static_cast<int>(i)));
@@ -327,10 +393,24 @@ VecX ContactStepTangent::constraint_changes(const VecX& dq0, const VecX& dq1, co
   return (dphi1 - part * dphi0 + (shorter ? d.h / s.nominal : 0.0) * start.residuals() - value * d.h) / s.h;
 }
 
-// Along which the friction of a contact acts.
+// Along which the friction of a contact acts. Where a slip begins with the end of the step its friction keeps the
+// direction that it had at its limit.
 Eigen::Vector2d ContactStepTangent::slip_of(const Problem& problem, std::size_t i) const {
   const ContactStepRecord::Contact& c = record_->contacts[i];
-  return problem.contacts[i] == Mode::kKept ? c.outcome.slip : Eigen::Vector2d(problem.w.segment<2>(c.row + 1));
+  if (problem.contacts[i] != Mode::kKept) return problem.w.segment<2>(c.row + 1);
+  return directed_[i] ? c.outcome.slip : Eigen::Vector2d(-record_->lambda_end.segment<2>(c.row + 1));
+}
+
+// How that direction changes with the slip that it follows.
+Eigen::Matrix2d ContactStepTangent::turn(const Problem& problem, std::size_t i) const {
+  const bool keeps = problem.contacts[i] == Mode::kKept && !directed_[i];
+  return keeps ? Eigen::Matrix2d(Eigen::Matrix2d::Zero()) : turn(slip_of(problem, i));
+}
+
+// What the slip over the step makes of the coefficient of friction along a slip of either problem.
+Eigen::Matrix2d ContactStepTangent::friction_by_slip(const Eigen::Vector2d& slip, std::size_t i) const {
+  if (mu_slope_[i] == 0.0) return Eigen::Matrix2d::Zero();
+  return mu_slope_[i] * slip.normalized() * record_->contacts[i].outcome.slip.normalized().transpose();
 }
 
 // The equations for the changes of the impulses. rows: the effect of the impulses on the rows.
@@ -346,13 +426,12 @@ void ContactStepTangent::set_laws(Problem& problem, const MatX& rows) {
     if (mode == Mode::kOpen) A.middleRows(r, count) = MatX::Identity(rows_, rows_).middleRows(r, count);
     if (mode != Mode::kKept && mode != Mode::kSlip) continue;
     const Eigen::Vector2d slip = slip_of(problem, i);
-    if (mode == Mode::kSlip) {
-      A.middleRows(r + 1, 2) = c.before.mu * problem.lambda[r] * turn(slip) * rows.middleRows(r + 1, 2);
-    } else {
-      A.middleRows(r + 1, 2).setZero();
-    }
+    Eigen::Matrix2d by_slip = Eigen::Matrix2d::Zero();
+    if (mode == Mode::kSlip) by_slip = problem.lambda[r] * mu_[i] * turn(slip);
+    if (&problem == &position_) by_slip += problem.lambda[r] * friction_by_slip(slip, i);
+    A.middleRows(r + 1, 2) = by_slip * rows.middleRows(r + 1, 2);
     A.block<2, 2>(r + 1, r + 1) += Eigen::Matrix2d::Identity();
-    A.block<2, 1>(r + 1, r) += c.before.mu * slip.normalized();
+    A.block<2, 1>(r + 1, r) += mu_[i] * slip.normalized();
   }
   problem.system.compute(A, constraints_);
 }
@@ -363,10 +442,11 @@ void ContactStepTangent::check_shared(const Problem& problem, const MatX& effect
   if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
   const ContactStepRecord& s = *record_;
   if (s.contacts.empty())
-    refuse("redundant", -1, "The motion depends on how constraints share their load",
-           "gradients of constraints that depend on each other, or clearly do not", "a nearly singular configuration",
-           "Start elsewhere, or use fewer constraints");
-  refuse("redundant", s.contacts[0].before.point.guard, "The motion depends on how contact points share their load",
+    meet("redundant", -1, "The motion depends on how constraints share their load",
+         "gradients of constraints that depend on each other, or clearly do not", "a nearly singular configuration",
+         "Start elsewhere, or use fewer constraints");
+  else
+    meet("redundant", s.contacts[0].before.point.guard, "The motion depends on how contact points share their load",
          "a motion that the laws of contact determine", "points that turn while they slip",
          "Use fewer points (contact_points=3), or let bodies slip without turning");
 }
@@ -389,16 +469,17 @@ VecX ContactStepTangent::law_change(const Problem& problem, const ContactStepDir
     const VecX& change = mode == Mode::kKept ? dy : base;
     const double dmu = d.mu.size() > 0 ? d.mu[i] : 0.0;
     c.segment<2>(r + 1) =
-        problem.lambda[r] * (dmu * slip.normalized() + contact.before.mu * turn(slip) * change.segment<2>(r + 1));
+        problem.lambda[r] * (dmu * slip.normalized() + mu_[i] * turn(problem, i) * change.segment<2>(r + 1) +
+                             friction_by_slip(slip, i) * dy.segment<2>(r + 1));
   }
   return c;
 }
 
 void ContactStepTangent::solve_laws(const Problem& problem, const VecX& c, const VecX& size, VecX& dlambda) const {
   if (problem.system.solve(c, size, dlambda)) return;
-  refuse("redundant", -1, "Contact points that share their load contradict each other along a direction",
-         "a direction that keeps the points of a face closed together", "one that opens some of them",
-         "Start with the bodies apart, or in touch at one point");
+  meet("redundant", -1, "Contact points that share their load contradict each other along a direction",
+       "a direction that keeps the points of a face closed together", "one that opens some of them",
+       "Start with the bodies apart, or in touch at one point; on_kink='taken' keeps them closed");
 }
 
 // The velocity impulse if the friction of all contacts that slipped had gone on.
@@ -438,6 +519,7 @@ void ContactStepTangent::take_released_friction() {
   v_frozen_ = s.p_minus + s.W1 * frozen_.lambda;
   masses_.solve_mass(v_frozen_);
   frozen_.w.noalias() = s.W1.transpose() * v_frozen_;
+  frozen_.w += own_end_;
 }
 
 // Of the velocity impulse and of the speeds of the rows at the end. v: the velocity there; dy: of the rows over the
@@ -447,7 +529,8 @@ void ContactStepTangent::end_change(const Problem& problem, const VecX& v, const
                                     VecX& dlambda, VecX& dw) {
   step_.momentum(record_->q1, v, dq1, none_, work_);
   if (d.parameters != nullptr) step_.add_momentum(record_->q1, v, *d.parameters, work_);
-  VecX base = dW1_.transpose() * v + MinvW_.transpose() * (dp_minus + dW1_ * problem.lambda - work_);
+  work_ += record_->W1 * pull_change(1, d.t, d.h);
+  VecX base = dW1_.transpose() * v + MinvW_.transpose() * (dp_minus + dW1_ * given(problem.lambda, 1) - work_) + down1_;
   if (constraints_ > 0) base.head(constraints_) += drate1_;
   solve_laws(problem, law_change(problem, d, base, dy), size, dlambda);
   dw = base + G_ * dlambda;
@@ -459,7 +542,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   set_start_rows(dq0, d.t);
   StepDirection& direction = step_direction_;
   direction.q = dq0;
-  direction.p = dW0_ * s.lambda;
+  direction.p = dW0_ * given(s.lambda, 0) - s.W0 * pull_change(0, d.t, d.h);
   if (d.p.size() > 0) direction.p += d.p;
   direction.t = d.t;
   direction.h = d.h;
@@ -485,7 +568,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   dy_ = base_ + Y_ * dlambda_;
   set_end_rows(q, d.t + d.h);
   end_change(velocity_, s.v1, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
-  dp1 = dp_minus_ + dW1_ * s.lambda_end + s.W1 * dlambda_end_;
+  dp1 = dp_minus_ + dW1_ * given(s.lambda_end, 1) + s.W1 * (dlambda_end_ - pull_change(1, d.t, d.h));
   dq1 = q;
   if (s.ending != ContactStepEnd::kStick) return;
   end_change(frozen_, v_frozen_, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);

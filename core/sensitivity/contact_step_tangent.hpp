@@ -8,6 +8,10 @@
 // impulse follows in the same way from w = W1^T M^-1 p1 at the end. Where several points share a load, the impulses are
 // those of least norm, and the derivative exists if the motion does not depend on how the load is shared.
 //
+// Surfaces that move along themselves have velocities of their own in the slips, which change with the configuration and
+// the time. Friction that depends on the speed is that of the slip over the step in both problems,
+// d mu = mu' s . ds / |s|. Adhesion takes from the impulses of the normals half of its own at each end.
+//
 // Friction and slip are compared in the frames of tangents (n, t1, t2) at both ends. Only how these frames turn against
 // each other matters: t1 at the start turns with its normal by the shortest turn, or with the plane that it is fixed
 // to, and t1 at the end follows from it as in the step.
@@ -15,7 +19,9 @@
 
 #include "contact/contact_step_record.hpp"
 #include "geometry/contact_tangent.hpp"
+#include "geometry/surface_velocity_tangent.hpp"
 #include "model/constraint_tangent.hpp"
+#include "sensitivity/kinks.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/shared_load.hpp"
 #include "step/integrator.hpp"
@@ -37,7 +43,7 @@ struct ContactStepDirection {
 
 class ContactStepTangent {
  public:
-  explicit ContactStepTangent(const Scene& scene);
+  ContactStepTangent(const Scene& scene, Kinks& kinks);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
@@ -68,8 +74,13 @@ class ContactStepTangent {
 
   [[noreturn]] void refuse(const char* reason, int guard, const std::string& fact, const char* expected,
                            const std::string& got, const char* remedy) const;
+  // An obstacle that is a kink.
+  void meet(const char* reason, int guard, const std::string& fact, const char* expected, const std::string& got,
+            const char* remedy) const;
   double energy_change();
+  bool follows_slip(const ContactStepRecord::Contact& contact, double mu) const;
   void take_contacts();
+  void take_laws();
   void take_position_problem();
   void set_laws(Problem& problem, const MatX& rows);
   void check_shared(const Problem& problem, const MatX& effect) const;
@@ -78,6 +89,9 @@ class ContactStepTangent {
   Eigen::Vector2d slip_of(const Problem& problem, std::size_t contact) const;
   void take_released_friction();
   void check_laws();
+  // Impulses along the rows at an end, less those of adhesion, and the changes of these.
+  VecX given(const VecX& lambda, int end) const { return lambda - pull_[end]; }
+  VecX pull_change(int end, double dt, double dh) const { return dt * pull_by_t_[end] + dh * pull_by_h_[end]; }
   // Along the changes of the configurations at both ends of the step and of their times [s].
   void set_start_rows(const VecX& dq0, double dt);
   void set_end_rows(const VecX& dq1, double dt);
@@ -89,13 +103,23 @@ class ContactStepTangent {
   Vec3 relative(const BodyTwists& twists, int contact, const Vec3& x) const;
   Vec3 place(const BodyTwists& twists, int contact) const;
   Eigen::Matrix2d turn(const Eigen::Vector2d& s) const;
+  Eigen::Matrix2d turn(const Problem& problem, std::size_t contact) const;
+  Eigen::Matrix2d friction_by_slip(const Eigen::Vector2d& slip, std::size_t contact) const;
 
   const Scene* scene_;
+  Kinks* kinks_;
   Integrator masses_;
   StepTangent step_;
   const ContactStepRecord* record_ = nullptr;
   BodyTwists twists0_, twists1_;
   std::vector<ContactTangent> start_, end_;
+  // Of the surfaces of each contact at both ends.
+  std::vector<SurfaceVelocityTangent> start_surfaces_, end_surfaces_;
+  // Coefficients of friction in the step, of each contact, and their derivatives by the slip over it.
+  std::vector<double> mu_, mu_slope_;
+  std::vector<char> directed_;                  // which slip over the step, with friction against it
+  VecX own_end_;                                // velocities that surfaces have of themselves in the rows at the end
+  VecX pull_[2], pull_by_t_[2], pull_by_h_[2];  // impulses of adhesion at both ends, by the time and by the length
   ConstraintTangent start_constraints_, end_constraints_;
   double margin_ = 1.0, slip_change_ = 0.0;
   int rows_ = 0, constraints_ = 0;  // constraints_: how many of the rows are those of constraints
@@ -109,8 +133,8 @@ class ContactStepTangent {
   MatX dW0_, dW1_;
   std::vector<Vec3> dn0_, dt1_;
   StepDirection step_direction_;  // of the smooth step, without the changes of the position impulses
-  // Changes of the rates of the constraints at both ends, along it.
-  VecX drate0_, drate1_;
+  // Changes of the rates of the constraints at both ends, along it, and of the velocities of surfaces in the rows.
+  VecX drate0_, drate1_, down0_, down1_;
   VecX dv_, dp_start_, dp_minus_, dy_, base_, dlambda_, dlambda_end_, dw_, work_, none_;
 };
 

@@ -6,8 +6,8 @@
 
 namespace contactvi {
 
-DenseStepAdjoint::DenseStepAdjoint(const Scene& scene, bool take_branch)
-    : scene_(&scene), tangent_(scene, take_branch), adjoint_(scene.tree, 1), work_(scene.tree.nv) {}
+DenseStepAdjoint::DenseStepAdjoint(const Scene& scene, Kinks& kinks)
+    : scene_(&scene), tangent_(scene, kinks), adjoint_(scene.tree, 1), work_(scene.tree.nv) {}
 
 void DenseStepAdjoint::take(const DenseStepRecord& step, const VecX& tau, const Servo* servo) {
   record_ = &step;

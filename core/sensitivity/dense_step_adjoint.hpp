@@ -19,7 +19,7 @@ struct DenseStepGradient {
 
 class DenseStepAdjoint {
  public:
-  DenseStepAdjoint(const Scene& scene, bool take_branch);
+  DenseStepAdjoint(const Scene& scene, Kinks& kinks);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const DenseStepRecord& step, const VecX& tau, const Servo* servo);

@@ -189,7 +189,7 @@ double DenseStepTangent::allowed_change(const DenseStepRecord::Contact& c, const
 
 void DenseStepTangent::solve_laws(const DenseLaws& laws, const VecX& base, const VecX& known, const VecX& mu,
                                   const VecX& size, VecX& dlambda) const {
-  if (laws.solve(base, known, mu, size, dlambda) || take_branch_) return;
+  if (laws.solve(base, known, mu, size, dlambda) || kinks_->taken()) return;
   refuse("redundant", -1, "Contact points that share their load contradict each other along a direction",
          "a direction that keeps the points of a face closed together", "one that opens some of them",
          "Start with the bodies apart, or use on_kink='taken' for the derivative with impulses of least norm");

@@ -15,9 +15,9 @@ constexpr double kLaw = 1e-7;  // of the impulses and speeds: ten times what the
 
 }  // namespace
 
-DenseStepTangent::DenseStepTangent(const Scene& scene, bool take_branch)
+DenseStepTangent::DenseStepTangent(const Scene& scene, Kinks& kinks)
     : scene_(&scene),
-      take_branch_(take_branch),
+      kinks_(&kinks),
       start_masses_(scene.tree, 1, 1e-12, 1),
       masses_(scene.tree, 1, 1e-12, 1),
       step_masses_(scene),
@@ -46,7 +46,7 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   record_ = &step;
   margin_ = 1.0;
   error_ = 0.0;
-  for (const auto& c : step.contacts) require_known_law(*scene_, c.point.guard, step.t);
+  for (const auto& c : step.contacts) require_plain_law(*scene_, c.point.guard, step.t);
   approximate_ = "";
   rows_ = static_cast<int>(step.lambda.size());
   constraints_ = step.constraints;
@@ -197,7 +197,7 @@ void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) {
 
 void DenseStepTangent::refuse_shared(const char* fact, const char* got, const char* remedy) {
   approximate("points whose shares of a load decide about the motion");
-  if (take_branch_) return;
+  if (kinks_->taken()) return;
   const std::string other = ", or on_kink='taken' for the derivative with impulses of least norm";
   refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard, fact,
          "a motion that the laws of contact determine", got, (remedy + other).c_str());

@@ -21,6 +21,7 @@
 #include "geometry/contact_tangent.hpp"
 #include "model/constraint_tangent.hpp"
 #include "sensitivity/dense_laws.hpp"
+#include "sensitivity/kinks.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/step_masses.hpp"
 #include "step/integrator.hpp"
@@ -45,9 +46,9 @@ constexpr double kOnCone = 1e-9;
 
 class DenseStepTangent {
  public:
-  // take_branch: where the laws do not determine how points share a load, and that decides about the motion, the
-  // derivative with impulses of least norm; else that is an obstacle.
-  DenseStepTangent(const Scene& scene, bool take_branch);
+  // Where the laws do not determine how points share a load, and that decides about the motion, the derivative with
+  // impulses of least norm is that of a kink that was taken.
+  DenseStepTangent(const Scene& scene, Kinks& kinks);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const DenseStepRecord& step, const VecX& tau, const Servo* servo);
@@ -133,7 +134,7 @@ class DenseStepTangent {
   VecX end_slip(int place, std::size_t contact) const;
 
   const Scene* scene_;
-  bool take_branch_;
+  Kinks* kinks_;
   Integrator start_masses_, masses_;
   StepMasses step_masses_;
   StepTangent free_;  // the step without other impulses than those of the constraints

@@ -58,6 +58,8 @@ void EndForce::take(PhaseEnd end, const VecX& tau, const Servo* servo) {
   masses_.set_servo(servo);
   mu_.resize(static_cast<Eigen::Index>(end_.contacts.size()));
   for (std::size_t i = 0; i < end_.contacts.size(); ++i) mu_[static_cast<Eigen::Index>(i)] = end_.contacts[i].before.mu;
+  any_adhesion_ = false;
+  for (const PhaseEnd::Contact& c : end_.contacts) any_adhesion_ |= adhesion(*scene_, c.before, end_.time) > 0.0;
   loaded_.assign(end_.contacts.size(), 1);
   const double left = settle_loads();
   if (!(std::abs(left) <= kZero * size_)) refuse("a force of " + std::to_string(left) + " N");
@@ -103,6 +105,7 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
   }
   for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, equations + static_cast<int>(k)) = 1.0;
   std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero()), normals = t1;
+  VecX own = VecX::Zero(rows), own_rates = own, pulls = own;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactPoint& point = s.contacts[i].before.point;
     const int count = s.contacts[i].before.rows();
@@ -113,14 +116,27 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
       guards_.manifolds().evaluate(point, guards_.placements(), contact);
     }
     normals[i] = contact.normal;
-    if (count > 1) t1[i] = carried_tangent(s.contacts[i].t1, s.contacts[i].normal, contact.normal);
+    if (count > 1)
+      t1[i] = guards_.has_axis(point.guard) ? guards_.tangent(point.guard, contact.normal)
+                                            : carried_tangent(s.contacts[i].t1, s.contacts[i].normal, contact.normal);
     guards_.rows(point.guard, contact, t1[i], W_.middleCols(s.contacts[i].row, count));
     if (!tangent_.take(q, point.guard, contact, &point)) refuse(tangent_.why());
-    tangent_.change(v_, t1[i], dW_.middleCols(s.contacts[i].row, count));
+    const int r = s.contacts[i].row;
+    tangent_.change(v_, t1[i], dW_.middleCols(r, count));
+    pulls[r] = adhesion(*scene_, s.contacts[i].before, time_);
+    if (count == 1 || !guards_.moves(point.guard)) continue;
+    surface_.take(*scene_, point.guard, tangent_, t1[i], time_);
+    own.segment<2>(r + 1) = surface_.velocity();
+    own_rates.segment<2>(r + 1) = surface_.change(tangent_) + surface_.rate();
+  }
+  if (any_adhesion_) {
+    VecX pulled = W_ * pulls;
+    masses_.solve_mass(pulled);
+    a_ -= pulled;
   }
   MatX MinvW = W_;
   masses_.solve_masses(MinvW);
-  VecX c = W_.transpose() * a_ + dW_.transpose() * v_;
+  VecX c = W_.transpose() * a_ + dW_.transpose() * v_ + own_rates;
   if (equations > 0) c.head(equations) += constraints_.rate_change(v_, 1.0);
   A_.noalias() = W_.transpose() * MinvW;
   accelerations_ = c;
@@ -129,7 +145,7 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
   for (const PhaseEnd::Contact& contact : s.contacts) {
     const int r = contact.row;
     const double terms = W_.col(r).cwiseAbs().dot(a_.cwiseAbs()) + dW_.col(r).cwiseAbs().dot(v_.cwiseAbs());
-    size_ = std::max(size_, terms / A(r, r));
+    size_ = std::max(size_, terms / A(r, r) + pulls[r]);
   }
   for (const PhaseEnd::Joint& joint : s.joints) size_ = std::max(size_, joint.limit);
   const double still = kStill * (1.0 + s.v.cwiseAbs().maxCoeff());
@@ -156,8 +172,10 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
     A.block<2, 2>(r + 1, r + 1).setIdentity();
     c.segment<2>(r + 1).setZero();
     if (!slips) continue;
-    const Eigen::Vector2d w = W_.middleCols(r + 1, 2).transpose() * v_;
-    A.block<2, 1>(r + 1, r) = mu[i] * w.normalized();
+    const Eigen::Vector2d w = W_.middleCols(r + 1, 2).transpose() * v_ + own.segment<2>(r + 1);
+    const int guard = s.contacts[i].before.point.guard;
+    const bool varies = scene_->law(guard) != nullptr && scene_->law(guard)->mu.given();
+    A.block<2, 1>(r + 1, r) = (varies ? scene_->sliding_friction(guard, w.norm()) : mu[i]) * w.normalized();
   }
   system_.compute(A, equations);
   const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();
@@ -246,7 +264,7 @@ void EndForce::add_parameters(const VecX& lp, const VecX& ltau, StepParameters& 
 double EndForce::rate(const VecX& fq, const VecX& fp) {
   const double rest = change(fq, fp, VecX(), VecX());
   const Elements& e = scene_->tree.elements;
-  return e.driven() || forces_depend_on_time(e) ? rest + rate_in_time(rest) : rest;
+  return e.driven() || forces_depend_on_time(e) || scene_->contacts_depend_on_time() ? rest + rate_in_time(rest) : rest;
 }
 
 // Of the force at one state, where prescribed motions and forces that depend on time alone go on: from the forces,

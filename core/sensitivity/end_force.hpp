@@ -4,13 +4,14 @@
 //
 // With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of the
 // constraints, of the normals and of what sticks, f_t = -mu f_n d of what slips, f_t = 0 of the contact that sticks and
-// is released; a is the acceleration without contacts and dW the change of the rows along v (ContactTangent,
-// ConstraintTangent). Its derivative would need the third derivatives of gaps and constraints: it is taken by
+// is released; a is the acceleration without contacts, with adhesion, and dW the change of the rows along v
+// (ContactTangent, ConstraintTangent), to which surfaces that move along themselves add the rate of their velocities. Its derivative would need the third derivatives of gaps and constraints: it is taken by
 // fourth-order differences, which are right to 1e-10.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"
 #include "geometry/guard.hpp"
+#include "geometry/surface_velocity_tangent.hpp"
 #include "model/constraint_tangent.hpp"
 #include "sensitivity/motion_parameters.hpp"
 #include "sensitivity/recorded_run.hpp"
@@ -72,13 +73,15 @@ class EndForce {
   Integrator masses_;
   Guards guards_;
   ContactTangent tangent_;
+  SurfaceVelocityTangent surface_;
   ConstraintTangent constraints_;
   double time_ = 0.0;  // [s] at which prescribed motions and forces are taken
   MotionParameters parameters_;
   PhaseEnd end_;
   const VecX* tau_ = nullptr;
   std::vector<char> loaded_;  // which contacts carry load
-  VecX weights_;              // of the forces of the rows in the force
+  bool any_adhesion_ = false;
+  VecX weights_;  // of the forces of the rows in the force
   VecX mu_;
   VecX forces_, accelerations_;  // of the rows, at the last evaluation
   MatX W_, dW_, A_;

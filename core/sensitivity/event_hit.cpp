@@ -85,10 +85,12 @@ EventHit event_hit(const RecordedRun& run, const Piece& piece, bool take_branch)
                      "a point that is known", "one that is not", "End the run before");
 }
 
-void refuse_apart(const RecordedImpact& impact, const EventHit& hit) {
-  throw NoDerivative({"witness", impact.guard, impact.time}, "An impact has several new points at once",
-                     "one point that hits first, or points that all directions bring down together",
-                     std::to_string(hit.points.size()) + " points", "Start a little tilted, so that one hits first");
+NoDerivative points_apart(const RecordedImpact& impact, const EventHit& hit) {
+  return {{"witness", impact.guard, impact.time},
+          "An impact has several new points at once",
+          "one point that hits first, or points that all directions bring down together",
+          std::to_string(hit.points.size()) + " points",
+          "Start a little tilted, so that one hits first; on_kink='taken' gives the derivative by the first one"};
 }
 
 void check_beginnings(const RecordedRun& run, const Piece& piece, const Piece& next) {

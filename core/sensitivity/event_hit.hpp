@@ -20,7 +20,7 @@ bool persists(const Piece& piece, const ContactPoint& point);
 EventHit event_hit(const RecordedRun& run, const Piece& piece, bool take_branch);
 
 // Throws NoDerivative for points that are hit one after the other along some direction.
-[[noreturn]] void refuse_apart(const RecordedImpact& impact, const EventHit& hit);
+NoDerivative points_apart(const RecordedImpact& impact, const EventHit& hit);
 // Of the terms of the gaps' changes: points that are hit together along a direction have the same time to this.
 constexpr double kTogether = 1e-8;
 

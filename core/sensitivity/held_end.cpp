@@ -15,7 +15,7 @@ void HeldEnd::take(HeldNode& node, const HeldStepRecord& step, const PersistentR
   node_ = &node;
   record_ = &step;
   fixed_ = fixed;
-  const Eigen::Index rows = node.rows(), slides = node.along().cols();
+  const Eigen::Index rows = node.rows(), slides = node.along().cols(), numbers = node.numbers();
   masses_.place_node(node.configuration());
   MinvF_ = node.given();
   MinvC_ = node.watched();
@@ -24,16 +24,17 @@ void HeldEnd::take(HeldNode& node, const HeldStepRecord& step, const PersistentR
   mass_change_ = momenta.momentum_changes(node.configuration(), step.v1);
   node.change_speeds(step.v1, watched_change_, along_change_);
   MatX A = node.watched().transpose() * MinvF_;
-  A.bottomRightCorner(slides, slides).diagonal() -= node.along().transpose() * step.v1;
+  A.diagonal().segment(rows, slides) -= node.slips(step.v1);
+  A.diagonal().tail(numbers - slides).array() += 1.0;
   // What can neither move across its slip nor slips any more has no direction there.
   undirected_.clear();
   const double zero = slides > 0 ? kVacuous * A.diagonal().head(rows).maxCoeff() : 0.0;
   for (Eigen::Index r = rows; r < rows + slides; ++r) {
     if (A.row(r).cwiseAbs().maxCoeff() > zero) continue;
-    A.row(r) = VecX::Unit(rows + slides, r).transpose();
+    A.row(r) = VecX::Unit(rows + numbers, r).transpose();
     undirected_.push_back(static_cast<int>(r));
   }
-  system_.compute(std::move(A), fixed, static_cast<int>(slides));
+  system_.compute(std::move(A), fixed, static_cast<int>(numbers));
   take_rests(phase);
 }
 
@@ -42,20 +43,27 @@ void HeldEnd::take_rests(const PersistentRows& phase) {
   const HeldStepRecord& s = *record_;
   const auto contacts = static_cast<int>(s.contacts.size()), all = contacts + static_cast<int>(s.joints.size());
   const double still = kStillSlip * (1.0 + s.v1.cwiseAbs().maxCoeff());
+  const VecX slips = node_->slips(s.v1), slip_rates = node_->slip_rates();
   std::vector<VecX> speeds, changes;
+  std::vector<double> rates;
   const auto add = [&](int number, bool checked) {
     VecX speed = VecX::Zero(nv_), change = speed;
+    double left = 0.0, rate = 0.0;
     if (number >= contacts) {
       const FrictionJoint& joint = s.joints[static_cast<std::size_t>(number - contacts)];
       if (joint.sticks) return;
       speed[joint.dof] = joint.heading;
+      left = joint.heading * s.v1[joint.dof];
     } else {
       const int j = phase.slide(static_cast<std::size_t>(number));
       if (j < 0) return;
       speed = node_->along().col(j);
       change = along_change_.row(j).transpose();
+      left = slips[j];
+      rate = slip_rates[j];
     }
-    if (checked && !(std::abs(speed.dot(s.v1)) <= still)) return;
+    if (checked && !(std::abs(left) <= still)) return;
+    rates.push_back(rate);
     speeds.push_back(std::move(speed));
     changes.push_back(std::move(change));
   };
@@ -67,6 +75,7 @@ void HeldEnd::take_rests(const PersistentRows& phase) {
   const auto count = static_cast<Eigen::Index>(speeds.size());
   rest_speeds_.resize(nv_, count);
   rest_changes_.resize(count, nv_);
+  rest_rates_ = Eigen::Map<const VecX>(rates.data(), count);
   for (Eigen::Index k = 0; k < count; ++k) {
     rest_speeds_.col(k) = speeds[static_cast<std::size_t>(k)];
     rest_changes_.row(k) = changes[static_cast<std::size_t>(k)].transpose();
@@ -79,7 +88,7 @@ bool HeldEnd::add_impulse(const VecX& heavier, double later, const VecX& sizes, 
   const VecX dq = end.head(nv_), all_heavier = heavier + mass_change_ * dq;
   VecX dp = end.segment(nv_, nv_), impulses;
   VecX faster = watched_change_ * dq + MinvC_.transpose() * (dp - all_heavier);
-  faster.head(node_->rows()) += node_->speed_rates(record_->v1) * later;
+  faster += node_->speed_rates(record_->v1) * later;
   faster(undirected_).setZero();
   const bool agree = system_.solve(faster, sizes, impulses);
   dp += node_->given() * impulses;
@@ -87,7 +96,7 @@ bool HeldEnd::add_impulse(const VecX& heavier, double later, const VecX& sizes, 
   if (node_->along().cols() == 0 && rests() == 0) return agree;
   dv = dp - all_heavier;
   masses_.solve_mass(dv);
-  end.tail(rests()) = rest_speeds_.transpose() * dv + rest_changes_ * dq;
+  end.tail(rests()) = rest_speeds_.transpose() * dv + rest_changes_ * dq + rest_rates_ * later;
   return agree;
 }
 

@@ -1,5 +1,6 @@
 // The end of a held step, as a function of the state before its last impulse: the velocity there, the impulse and the
-// directions of slips that leave the rows and what is across the slips no speed, and the slips that come to rest.
+// numbers of slips (held_node.hpp) that leave the rows and what is across the slips no speed, and the slips that come to
+// rest.
 #pragma once
 
 #include "sensitivity/end_force.hpp"
@@ -46,13 +47,14 @@ class HeldEnd {
   const HeldNode* node_ = nullptr;
   const HeldStepRecord* record_ = nullptr;
   // d(M v)/dq, changes of the speeds, M^-1 of what is given and of what is watched, the equations of the impulse and
-  // the directions.
+  // the numbers.
   MatX mass_change_, watched_change_, along_change_, MinvF_, MinvC_;
   SharedLoad system_;
   std::vector<int> undirected_;  // directions that nothing determines
   // Of the slips that come to rest: gradients by the velocity, (nv, count), with M^-1 of these, and by the
   // configuration, (count, nv).
   MatX rest_speeds_, MinvR_, rest_changes_;
+  VecX rest_rates_;  // by the time
 };
 
 }  // namespace contactvi

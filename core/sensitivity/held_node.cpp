@@ -11,8 +11,8 @@ HeldNode::HeldNode(const Scene& scene)
       scene_(&scene),
       bend_(scene.tree.nv, scene.tree.nv) {}
 
-bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda, const VecX& angles, const VecX& load,
-                    const HeldStepRecord& step, PersistentRows& phase, int number) {
+bool HeldNode::take(const VecX& q, double t, const VecX& X, const Acting& acting, const HeldStepRecord& step,
+                    PersistentRows& phase, int number) {
   const Eigen::Index n = bend_.rows(), fixed = constraints_.rows(), rows = fixed + phase.count(),
                      slides = static_cast<Eigen::Index>(phase.slides().size());
   q_ = q;
@@ -50,10 +50,15 @@ bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda, 
     }
   }
   while (row < phase.count()) add_row();
-  if (!take_contacts(step.contacts, phase, number)) return false;
-  combine(lambda, angles, phase);
+  if (!take_contacts(step.contacts, phase, number, t)) return false;
+  take_pulls(step.contacts, phase, number, t);
+  lambda_ = acting.lambda;
+  weight_ = acting.weight;
+  combine(acting, phase);
   set_displacements(step.contacts);
-  force_ = columns_ * weights_ + load;
+  load_ = columns_ * pulls_;
+  if (phase.load() != nullptr) load_ += *phase.load();
+  force_ = columns_ * (weights_ - weight_ * pulls_) + weight_ * load_;
   for (Eigen::Index k = 0; k < n; ++k) {
     change(VecX::Unit(n, k));
     bend_.col(k) = change_ * weights_;
@@ -61,9 +66,13 @@ bool HeldNode::take(const VecX& q, double t, const VecX& X, const VecX& lambda, 
   return true;
 }
 
-bool HeldNode::take_contacts(const std::vector<PersistentContact>& contacts, const PersistentRows& phase, int number) {
+bool HeldNode::take_contacts(const std::vector<PersistentContact>& contacts, const PersistentRows& phase, int number,
+                             double t) {
   while (contacts_.size() < contacts.size()) contacts_.emplace_back(*scene_);
   t1_.clear();
+  surfaces_.resize(contacts.size());
+  own_.setZero(columns_.cols());
+  own_rates_ = own_;
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const PersistentRows::Site& site = phase.site(number, i);
     const ContactPoint& point = contacts[i].point;
@@ -74,13 +83,33 @@ bool HeldNode::take_contacts(const std::vector<PersistentContact>& contacts, con
       return false;
     }
     t1_.push_back(site.frame.t1);
+    surfaces_[i] = SurfaceVelocityTangent();
+    if (count_[i] == 1) continue;
+    surfaces_[i].take(*scene_, point.guard, contacts_[i], site.frame.t1, t);
+    own_.segment<2>(first_[i] + 1) = surfaces_[i].velocity();
+    own_rates_.segment<2>(first_[i] + 1) = surfaces_[i].rate();
   }
   return true;
 }
 
-void HeldNode::combine(const VecX& lambda, const VecX& angles, const PersistentRows& phase) {
+void HeldNode::take_pulls(const std::vector<PersistentContact>& contacts, const PersistentRows& phase, int number,
+                          double t) {
+  pulls_.setZero(columns_.cols());
+  pull_rates_ = pulls_;
+  if (!phase.any_adheres()) return;
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const double pull = phase.site(number, i).pull;
+    if (pull == 0.0) continue;
+    pulls_[first_[i]] = -pull;
+    pull_rates_[first_[i]] = -contacts[i].pull_share * scene_->law(contacts[i].point.guard)->pull.slope(t);
+  }
+}
+
+void HeldNode::combine(const Acting& acting, const PersistentRows& phase) {
+  const VecX &lambda = acting.lambda, &angles = acting.angles;
   const auto rows = static_cast<Eigen::Index>(column_of_.size()), slides = angles.size(), all = columns_.cols();
-  watch_.setZero(all, rows + slides);
+  const bool varies = acting.slopes.size() > 0;
+  watch_.setZero(all, rows + (varies ? 2 : 1) * slides);
   lead_.setZero(all, slides);
   for (Eigen::Index r = 0; r < rows; ++r) watch_(column_of_[static_cast<std::size_t>(r)], r) = 1.0;
   give_ = watch_;
@@ -89,15 +118,18 @@ void HeldNode::combine(const VecX& lambda, const VecX& angles, const PersistentR
     const int j = phase.slide(i), normal = first_[i];
     if (j < 0) continue;
     const Eigen::Index r = constraints_.rows() + phase.row(i);
-    const double mu = phase.slides()[static_cast<std::size_t>(j)].mu;
+    const double mu = acting.mu[j];
     const Eigen::Vector2d d(std::cos(angles[j]), std::sin(angles[j])), across(-d[1], d[0]);
     lead_.block<2, 1>(normal + 1, j) = d;
     watch_.block<2, 1>(normal + 1, rows + j) = across;
     give_.block<2, 1>(normal + 1, r) = -mu * d;
     give_.block<2, 1>(normal + 1, rows + j) = -mu * lambda[r] * across;
     by_friction.block<2, 1>(normal + 1, j) = -lambda[r] * d;
+    if (!varies) continue;
+    watch_.block<2, 1>(normal + 1, rows + slides + j) = -acting.slopes[j] * d;
+    give_.col(rows + slides + j) = by_friction.col(j);
   }
-  weights_ = give_.leftCols(rows) * lambda;
+  weights_ = give_.leftCols(rows) * lambda + weight_ * pulls_;
   gradients_ = columns_ * watch_.leftCols(rows);
   watched_ = columns_ * watch_;
   along_ = columns_ * lead_;
@@ -140,7 +172,7 @@ MatX HeldNode::frame_turns(const std::vector<PersistentContact>& contacts, const
   MatX found = MatX::Zero(lead_.cols(), n);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const int j = phase.slide(i);
-    if (j < 0 || contacts[i].point.kind != PointKind::kVertex) continue;
+    if (j < 0 || contacts[i].point.kind != PointKind::kVertex || contacts_[i].has_axis()) continue;
     for (Eigen::Index k = 0; k < n; ++k) {
       twists_.move(VecX::Unit(n, k));
       found(j, k) = twists_.turn(contacts[i].point.plane_body).dot(contacts_[i].contact().normal);
@@ -154,8 +186,11 @@ MatX HeldNode::frame_turns(const std::vector<PersistentContact>& contacts, const
 void HeldNode::change(const VecX& dq) {
   change_.setZero(columns_.rows(), columns_.cols());
   constraints_.change(dq, 0.0, change_.leftCols(constraints_.rows()));
-  for (std::size_t i = 0; i < first_.size(); ++i)
+  own_change_.setZero(columns_.cols());
+  for (std::size_t i = 0; i < first_.size(); ++i) {
     contacts_[i].change(dq, t1_[i], change_.middleCols(first_[i], count_[i]));
+    if (surfaces_[i].moves()) own_change_.segment<2>(first_[i] + 1) = surfaces_[i].change(contacts_[i]);
+  }
 }
 
 void HeldNode::change_speeds(const VecX& v, MatX& watched, MatX& along) {
@@ -163,7 +198,7 @@ void HeldNode::change_speeds(const VecX& v, MatX& watched, MatX& along) {
   along.resize(lead_.cols(), v.size());
   for (Eigen::Index k = 0; k < v.size(); ++k) {
     change(VecX::Unit(v.size(), k));
-    const VecX speeds = change_.transpose() * v;
+    const VecX speeds = change_.transpose() * v + own_change_;
     watched.col(k) = watch_.transpose() * speeds;
     along.col(k) = lead_.transpose() * speeds;
   }
@@ -171,9 +206,13 @@ void HeldNode::change_speeds(const VecX& v, MatX& watched, MatX& along) {
 }
 
 VecX HeldNode::speed_rates(const VecX& v) const {
-  VecX found = VecX::Zero(rows());
-  found.head(constraints_.rows()) = constraints_.speed_rate(v);
+  VecX found = watch_.transpose() * own_rates_;
+  found.head(constraints_.rows()) += constraints_.speed_rate(v);
   return found;
+}
+
+VecX HeldNode::force_rate() const {
+  return constraints_.gradient_rates() * lambda_.head(constraints_.rows()) + weight_ * (columns_ * pull_rates_);
 }
 
 }  // namespace contactvi

@@ -20,7 +20,9 @@ bool HeldSlips::take(const HeldStepRecord& s, std::vector<HeldNode>& nodes, cons
   X_ = s.h * (s.rates * raised_.moved + v0 * raised_.moved_by_start.transpose() +
               end_rate_ * raised_.moved_by_end.transpose());
   turned_by_.resize(static_cast<std::size_t>(stages));
-  slips_.setZero(slides, stages);
+  const Eigen::Index numbers = nodes.front().numbers();
+  own_.setOnes(numbers, stages);
+  by_t_.setZero(numbers, stages);
   MatX watched, along;
   const double speed = 1.0 + s.v1.cwiseAbs().maxCoeff();
   for (int k = 1; k < stages; ++k) {
@@ -28,15 +30,16 @@ bool HeldSlips::take(const HeldStepRecord& s, std::vector<HeldNode>& nodes, cons
     chart.take(X_.col(k - 1));
     const VecX v = chart.velocity(rates_.col(k - 1));
     nodes[static_cast<std::size_t>(k)].change_speeds(v, watched, along);
-    turned_by_[static_cast<std::size_t>(k)] = watched.bottomRows(slides);
-    slips_.col(k) = node(k).along().transpose() * v;
-    if (!((across(k) * v).cwiseAbs().maxCoeff() <= kAcross * speed)) return false;
+    turned_by_[static_cast<std::size_t>(k)] = watched.bottomRows(numbers);
+    by_t_.col(k) = node(k).speed_rates(v).tail(numbers);
+    own_.col(k).head(slides) = -node(k).slips(v);
+    if (!(node(k).watched_slips(v).head(slides).cwiseAbs().maxCoeff() <= kAcross * speed)) return false;
   }
   return true;
 }
 
 VecX HeldSlips::change(int k, const MatX& du, const VecX& dv0, const VecX& dv1, const MatX& dX, const VecX& dq0,
-                       double dh, const VecX& turned) const {
+                       double dh, double dt, const VecX& numbers) const {
   const double h = record_->h;
   const NodeChart& end = nodes_->back().chart();
   const VecX dX_end = dX.col(dX.cols() - 1), none = VecX::Zero(dq0.size());
@@ -48,14 +51,15 @@ VecX HeldSlips::change(int k, const MatX& du, const VecX& dv0, const VecX& dv1, 
   dX_k += (dh / h) * X_.col(k - 1);
   const VecX dv = charts_[static_cast<std::size_t>(k)].velocity_change(rates_.col(k - 1), du_k, dX_k);
   const VecX dq = node(k).chart().turn(dX.col(k), dq0);
-  return h * (across(k) * dv + turned_by_[static_cast<std::size_t>(k)] * dq - slips_.col(k).cwiseProduct(turned));
+  return h * (watched(k) * dv + turned_by_[static_cast<std::size_t>(k)] * dq + by_t_.col(k) * dt +
+              own_.col(k).cwiseProduct(numbers));
 }
 
 VecX HeldSlips::gradient(const VecX& rate_share, const VecX& moved_share, const VecX& l) const {
-  const Eigen::Index n = rates_.rows(), slides = slips_.rows();
+  const Eigen::Index n = rates_.rows(), numbers = own_.rows();
   VecX found = VecX::Zero(n);
-  for (int k = 1; k < static_cast<int>(slips_.cols()); ++k) {
-    const VecX lv = record_->h * (across(k).transpose() * l.segment((k - 1) * slides, slides));
+  for (int k = 1; k < static_cast<int>(own_.cols()); ++k) {
+    const VecX lv = record_->h * (watched(k).transpose() * l.segment((k - 1) * numbers, numbers));
     for (Eigen::Index c = 0; c < n; ++c) {
       const VecX unit = VecX::Unit(n, c);
       found[c] += lv.dot(charts_[static_cast<std::size_t>(k)].velocity_change(

@@ -2,8 +2,8 @@
 
 namespace contactvi {
 
-HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages, int contact_points, bool take_branch)
-    : tangent_(scene, stages, contact_points, take_branch), adjoint_(scene.tree, stages) {}
+HeldStepAdjoint::HeldStepAdjoint(const Scene& scene, int stages, int contact_points, Kinks& kinks)
+    : tangent_(scene, stages, contact_points, kinks), adjoint_(scene.tree, stages) {}
 
 void HeldStepAdjoint::take(const HeldStepRecord& step, const VecX& tau, const Servo* servo) {
   tangent_.take(step, tau, servo);
@@ -29,10 +29,10 @@ template <class Entry>
 HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, ContactStepDirection& direction, Entry entry) {
   HeldStepTangent& t = tangent_;
   Columns found{MatX(t.unknowns(), count), MatX(t.end_.size(), count)};
-  const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
+  const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.numbers());
   for (int k = 0; k < count; ++k) {
     entry(k) = 1.0;
-    t.assess(direction, none, t.start_turns(direction), size, found.off.col(k), found.ends.col(k));
+    t.assess(direction, none, t.start_numbers(direction), size, found.off.col(k), found.ends.col(k));
     entry(k) = 0.0;
   }
   return found;
@@ -40,11 +40,11 @@ HeldStepAdjoint::Columns HeldStepAdjoint::columns(int count, ContactStepDirectio
 
 HeldStepAdjoint::Columns HeldStepAdjoint::turn_columns() {
   HeldStepTangent& t = tangent_;
-  Columns found{MatX(t.unknowns(), t.slides_), MatX(t.end_.size(), t.slides_)};
-  const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.slides_);
+  Columns found{MatX(t.unknowns(), t.numbers()), MatX(t.end_.size(), t.numbers())};
+  const VecX none = VecX::Zero(t.unknowns()), size = VecX::Zero(t.rows_ + t.numbers());
   const ContactStepDirection nothing;
-  for (int j = 0; j < t.slides_; ++j)
-    t.assess(nothing, none, VecX::Unit(t.slides_, j), size, found.off.col(j), found.ends.col(j));
+  for (int j = 0; j < t.numbers(); ++j)
+    t.assess(nothing, none, VecX::Unit(t.numbers(), j), size, found.off.col(j), found.ends.col(j));
   return found;
 }
 

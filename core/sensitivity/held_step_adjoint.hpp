@@ -12,7 +12,7 @@ namespace contactvi {
 
 class HeldStepAdjoint {
  public:
-  HeldStepAdjoint(const Scene& scene, int stages, int contact_points, bool take_branch);
+  HeldStepAdjoint(const Scene& scene, int stages, int contact_points, Kinks& kinks);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const HeldStepRecord& step, const VecX& tau, const Servo* servo);

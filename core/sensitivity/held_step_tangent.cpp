@@ -12,12 +12,12 @@ constexpr int kPasses = 3;        // the first solves, the others take the round
 const ContactStepDirection kNoDirection;
 }  // namespace
 
-HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_points, bool take_branch)
+HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_points, Kinks& kinks)
     : scene_(&scene),
       tree_(&scene.tree),
       nv_(scene.tree.nv),
       stages_(stages),
-      take_branch_(take_branch),
+      kinks_(&kinks),
       fixed_(scene.tree.elements.constraint_rows),
       table_(&lobatto_table(stages)),
       step_(scene.tree, stages),
@@ -29,7 +29,7 @@ HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_poi
       weights_(stages, stages),
       to_nodes_(stages, stages + 1),
       velocities_(scene.tree.nv, stages),
-      start_(scene),
+      start_(scene, kinks),
       slips_(scene.tree, stages),
       end_(scene),
       none_(VecX::Zero(scene.tree.nv)) {}
@@ -37,6 +37,11 @@ HeldStepTangent::HeldStepTangent(const Scene& scene, int stages, int contact_poi
 void HeldStepTangent::refuse(const char* reason, int guard, const char* fact, const char* expected,
                              const std::string& got, const char* remedy) const {
   throw NoDerivative({reason, guard, record_->t}, fact, expected, got, remedy);
+}
+
+void HeldStepTangent::meet(const char* reason, const char* fact, const char* expected, const std::string& got,
+                           const char* remedy) const {
+  kinks_->meet(NoDerivative({reason, first_guard(), record_->t}, fact, expected, got, remedy));
 }
 
 void HeldStepTangent::refuse_unsolved() const {
@@ -49,10 +54,10 @@ int HeldStepTangent::first_guard() const {
 }
 
 VecX HeldStepTangent::of_node(const VecX& x, int node, const VecX& start) const {
-  VecX found(rows_ + slides_);
+  VecX found(rows_ + numbers());
   found.head(fixed_) = x.segment(stage_unknowns() + node * fixed_, fixed_);
   found.segment(fixed_, held()) = x.segment(stage_unknowns() + stages_ * fixed_ + node * held(), held());
-  found.tail(slides_) = node == 0 ? start : VecX(x.segment(turns_at(node), slides_));
+  found.tail(numbers()) = node == 0 ? start : VecX(x.segment(turns_at(node), numbers()));
   return found;
 }
 
@@ -97,7 +102,8 @@ void HeldStepTangent::place_nodes() {
   phase_.set(s.contacts, s.joints, 2 * stages_ + 1);
   rows_ = fixed_ + phase_.count();
   slides_ = static_cast<int>(phase_.slides().size());
-  load_ = phase_.load() != nullptr ? *phase_.load() : none_;
+  varies_ = false;
+  for (int j = 0; j < slides_; ++j) varies_ = varies_ || phase_.friction_varies(j);
   rolling_.clear();
   for (int r = 0; r < phase_.count(); ++r)
     if (phase_.by_rate(r)) rolling_.push_back(fixed_ + r);
@@ -106,27 +112,46 @@ void HeldStepTangent::place_nodes() {
     if (phase_.slide(i) >= 0) slide_of_.push_back(i);
   VecX q(tree_->nq);
   const std::vector<std::array<int, 2>> features = find_features(X.col(stages_ / 2));
-  const auto place = [&](HeldNode& node, double part, const VecX& X_node, const VecX& lambda, const VecX& angles,
-                         double weight, int number) {
+  const auto place = [&](HeldNode& node, double part, const VecX& X_node, const HeldNode::Acting& acting, int number) {
     integrate(*tree_, s.q0, X_node, 1.0, q);
     node.prefer(features);
-    if (node.take(q, s.t + part * s.h, X_node, lambda, angles, weight * load_, s, phase_, number)) return;
+    if (node.take(q, s.t + part * s.h, X_node, acting, s, phase_, number)) return;
     refuse("witness", node.refused(), "The gap of a persistent contact has no second derivative",
            "one pair of nearest points", node.why(), "Start elsewhere, or round the edges of the shapes");
   };
-  const VecX forward = VecX::Zero(slides_);
   for (int k = 0; k <= stages_; ++k)
-    place(nodes_[static_cast<std::size_t>(k)], table_->d[k], X_nodes.col(k), s.lambda.col(k),
-          slides_ > 0 ? VecX(s.angles.col(k)) : forward, s.h * table_->e[k], k);
+    place(nodes_[static_cast<std::size_t>(k)], table_->d[k], X_nodes.col(k), acting(k), k);
+  const VecX none = VecX::Zero(slides_);
   roll_W_.clear();
   roll_change_.clear();
+  roll_rates_.clear();
   MatX watched, along;
   for (int i = 0; i < stages_ && !rolling_.empty(); ++i) {
-    place(at_stage_, gauss_table(stages_).c[i], X.col(i), VecX::Zero(rows_), forward, 0.0, stages_ + 1 + i);
+    place(at_stage_, gauss_table(stages_).c[i], X.col(i), {VecX::Zero(rows_), 0.0, none, none, VecX()},
+          stages_ + 1 + i);
     roll_W_.push_back(at_stage_.gradients()(Eigen::all, rolling_));
     at_stage_.change_speeds(velocities_.col(i), watched, along);
     roll_change_.push_back(watched(rolling_, Eigen::all));
+    roll_rates_.push_back(at_stage_.speed_rates(velocities_.col(i))(rolling_));
   }
+}
+
+// What acts at a node of the step.
+HeldNode::Acting HeldStepTangent::acting(int node) const {
+  const HeldStepRecord& s = *record_;
+  HeldNode::Acting found{s.lambda.col(node), s.h * table_->e[node], VecX(slides_), VecX(slides_),
+                         VecX::Zero(varies_ ? slides_ : 0)};
+  if (slides_ > 0) found.angles = s.angles.col(node);
+  for (int j = 0; j < slides_; ++j) {
+    const std::size_t i = slide_of_[static_cast<std::size_t>(j)];
+    found.mu[j] = s.contacts[i].mu;
+    if (!phase_.friction_varies(j)) continue;
+    const double speed = std::abs(s.slips(j, node));
+    found.mu[j] = phase_.friction(j, speed);
+    const ContactLaw& law = *scene_->law(s.contacts[i].point.guard);
+    if (law.mu.given()) found.slopes[j] = law.mu.slope(speed);
+  }
+  return found;
 }
 
 // Those at which contacts touch at a stage in the middle of the step, and so all along it: it ends where one comes to
@@ -172,11 +197,11 @@ VecX HeldStepTangent::force_change(int node, const ContactStepDirection& d, cons
                                    const VecX& impulses) const {
   const HeldNode& at = nodes_[static_cast<std::size_t>(node)];
   return at.force_change() * dq + at.given() * impulses + at.by_friction() * friction_changes(d) +
-         (table_->e[node] * d.h) * load_ + (d.t + table_->d[node] * d.h) * at.force_rate(record_->lambda.col(node));
+         (table_->e[node] * d.h) * at.load() + (d.t + table_->d[node] * d.h) * at.force_rate();
 }
 
-// Of the directions of the slips at the start.
-VecX HeldStepTangent::start_turns(const ContactStepDirection& d) {
+// Of the numbers of the slips at the start.
+VecX HeldStepTangent::start_numbers(const ContactStepDirection& d) {
   return slides_ > 0 ? start_.turns(d, friction_changes(d)) : VecX();
 }
 
@@ -213,7 +238,9 @@ bool HeldStepTangent::assess(const ContactStepDirection& d, const VecX& x, const
       if (!rolling_.empty()) {
         const auto i = static_cast<std::size_t>(k - 1);
         const VecX turned = charts_[i].turn(dX_.col(k - 1), dq0);
-        moved(rolling_) = record_->h * (roll_W_[i].transpose() * dv.col(k - 1) + roll_change_[i] * turned);
+        const double later = d.t + gauss_table(stages_).c[k - 1] * d.h;
+        moved(rolling_) =
+            record_->h * (roll_W_[i].transpose() * dv.col(k - 1) + roll_change_[i] * turned + later * roll_rates_[i]);
       }
       set_node(off, k - 1, moved);
     }
@@ -227,15 +254,15 @@ bool HeldStepTangent::assess(const ContactStepDirection& d, const VecX& x, const
   step_.residual(off.head(stage_unknowns()));
   step_.finish(step, end.head(nv_), end.segment(nv_, nv_));
   const VecX dq1 = end.head(nv_);
-  end.segment(nv_, nv_) += force_change(stages_, d, dq1, VecX::Zero(rows_ + slides_));
+  end.segment(nv_, nv_) += force_change(stages_, d, dq1, VecX::Zero(rows_ + numbers()));
   VecX heavier = none_, dv1;
   if (d.parameters != nullptr) step_.add_momentum(nodes_.back().configuration(), record_->v1, *d.parameters, heavier);
   const bool agree = end_.add_impulse(heavier, d.t + d.h, size, end, dv1);
   if (slides_ == 0) return agree;
   const VecX dv0 = start_.velocity_change(d);
   for (int k = 1; k < stages_; ++k)
-    off.segment(turns_at(k), slides_) =
-        slips_.change(k, du, dv0, dv1, dX_nodes_, dq0, d.h, x.segment(turns_at(k), slides_));
+    off.segment(turns_at(k), numbers()) = slips_.change(k, du, dv0, dv1, dX_nodes_, dq0, d.h, d.t + table_->d[k] * d.h,
+                                                        x.segment(turns_at(k), numbers()));
   return agree;
 }
 
@@ -258,7 +285,7 @@ VecX HeldStepTangent::anchor_changes(const ContactStepDirection& d, const VecX& 
 
 void HeldStepTangent::make_matrix() {
   const int count = unknowns(), own = stage_unknowns(), held = count - own;
-  const VecX start = VecX::Zero(slides_), none = VecX::Zero(rows_ + slides_);
+  const VecX start = VecX::Zero(numbers()), none = VecX::Zero(rows_ + numbers());
   matrix_.resize(count, count);
   ends_.resize(end_.size(), count);
   VecX x = VecX::Zero(count);
@@ -275,10 +302,11 @@ void HeldStepTangent::make_matrix() {
   const MatX& free = row_system_.free();
   if (free.cols() == 0 || !((answers_ * free).cwiseAbs().maxCoeff() > kShared * answers_.cwiseAbs().maxCoeff())) return;
   if (record_->contacts.empty())
-    refuse("redundant", -1, "The motion depends on how constraints share their load",
-           "gradients of constraints that depend on each other, or clearly do not", "a nearly singular configuration",
-           "Start elsewhere, or use fewer constraints");
-  refuse("redundant", first_guard(), "The motion depends on how contact points share their load",
+    meet("redundant", "The motion depends on how constraints share their load",
+         "gradients of constraints that depend on each other, or clearly do not", "a nearly singular configuration",
+         "Start elsewhere, or use fewer constraints");
+  else
+    meet("redundant", "The motion depends on how contact points share their load",
          "a motion that the laws of contact determine", "points near a singular configuration", "Start elsewhere");
 }
 
@@ -305,24 +333,26 @@ VecX HeldStepTangent::solve_transposed(const VecX& right) const {
 }
 
 void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp1) {
-  if (slides() && !take_branch_) start_.check(d);
+  if (slides()) start_.check(d);
   const int own = stage_unknowns();
   VecX x = VecX::Zero(unknowns()), off(unknowns()), end(end_.size());
-  const VecX none = VecX::Zero(unknowns() - own), start = start_turns(d);
-  assess(d, x, start, none.head(rows_ + slides_), off, end);
-  // What the direction alone changes, also of the time or the length, in which forces and reactions may cancel.
+  const VecX none = VecX::Zero(unknowns() - own), start = start_numbers(d);
+  assess(d, x, start, VecX::Zero(rows_ + numbers()), off, end);
+  // What the direction alone changes: of the momenta of the stages, as by inputs, and of the time or the length, in which
+  // forces and reactions may cancel.
   double reactions = 0.0;
   for (const HeldNode& node : nodes_) reactions += node.force().cwiseAbs().maxCoeff();
   const double q = std::max(
                    {d.size_q, d.q.size() > 0 ? d.q.cwiseAbs().maxCoeff() : 0.0, end.head(nv_).cwiseAbs().maxCoeff()}),
                h = record_->h,
                p = std::max({d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0,
-                             end.segment(nv_, nv_).cwiseAbs().maxCoeff(), std::abs(d.h) / h * reactions});
+                             end.segment(nv_, nv_).cwiseAbs().maxCoeff(), off.head(own).cwiseAbs().maxCoeff(),
+                             std::abs(d.h) / h * reactions});
   const VecX size = end_.speed_sizes(q, p, h);
   VecX sizes(unknowns());
   for (int k = 0; k < stages_; ++k) {
     set_node(sizes, k, record_->h * size.head(rows_));
-    if (k > 0) sizes.segment(turns_at(k), slides_) = record_->h * size.tail(slides_);
+    if (k > 0) sizes.segment(turns_at(k), numbers()) = record_->h * size.tail(numbers());
   }
   bool agree = true, settled = true;
   for (int pass = 0; pass < kPasses; ++pass) {
@@ -332,9 +362,9 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   const bool ends = assess(d, x, start, size, off, end);
   if (!end.allFinite()) refuse_unsolved();
   if (!ends || !agree)
-    refuse("redundant", first_guard(), "Contact points that share their load contradict each other along a direction",
-           "a direction that keeps the points of a face closed together", "one that opens some of them",
-           "Start with the bodies apart, or in touch at one point");
+    meet("redundant", "Contact points that share their load contradict each other along a direction",
+         "a direction that keeps the points of a face closed together", "one that opens some of them",
+         "Start with the bodies apart, or in touch at one point; on_kink='taken' keeps them closed");
   dq1 = end.head(nv_);
   dp1 = end.segment(nv_, nv_);
   slip_changes_ = end.tail(end_.rests());

@@ -10,11 +10,12 @@
 // where a material point sticks its displacement counts from an anchor, or from the start, that of a joint from the
 // start. Rows of surfaces that roll, and of joints without a coordinate, stand at the stages instead,
 // W_i^T dv_i + (dW_i . dq_i)^T v_i = 0. And the slips across their directions stay zero, of the path that is raised by
-// the velocities at both ends (held_slips.hpp). As a matrix
-//   [A B; C D] (dU, dLambda and directions) + (right sides) = 0,
+// the velocities at both ends (held_slips.hpp). Where friction depends on the speed of slips their coefficients are
+// unknown beside the directions; both are the numbers of the slips (held_node.hpp). As a matrix
+//   [A B; C D] (dU, dLambda and numbers) + (right sides) = 0,
 // made column by column, it is solved by a factor of A and one of D - C A^-1 B, in which rows may depend on each other.
-// The velocity at the end, and the impulse and the directions there, follow from all that is before it, by the rows and
-// slips there (held_end.hpp); they are functions in these equations, and so are the directions at the start
+// The velocity at the end, and the impulse and the numbers there, follow from all that is before it, by the rows and
+// slips there (held_end.hpp); they are functions in these equations, and so are the numbers at the start
 // (held_start.hpp).
 #pragma once
 
@@ -31,9 +32,8 @@ namespace contactvi {
 
 class HeldStepTangent {
  public:
-  // contact_points: of a pair, at most. take_branch: whether slips that begin at rest count as going on along their
-  // directions where a direction moves what rests; else that is an obstacle.
-  HeldStepTangent(const Scene& scene, int stages, int contact_points, bool take_branch);
+  // contact_points: of a pair, at most.
+  HeldStepTangent(const Scene& scene, int stages, int contact_points, Kinks& kinks);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const HeldStepRecord& step, const VecX& tau, const Servo* servo);
@@ -53,29 +53,33 @@ class HeldStepTangent {
 
   [[noreturn]] void refuse(const char* reason, int guard, const char* fact, const char* expected,
                            const std::string& got, const char* remedy) const;
+  // An obstacle that is a kink.
+  void meet(const char* reason, const char* fact, const char* expected, const std::string& got,
+            const char* remedy) const;
   [[noreturn]] void refuse_unsolved() const;
   int first_guard() const;  // of its contacts; -1: it has none
   std::vector<std::array<int, 2>> find_features(const VecX& X);
   void place_nodes();
+  HeldNode::Acting acting(int node) const;
   void give_impulses();
   void make_matrix();
   int stage_unknowns() const { return nv_ * stages_; }
   bool slides() const { return slides_ > 0 || !record_->joints.empty(); }
-  int turns() const { return slides_ * (stages_ - 1); }
+  int numbers() const { return varies_ ? 2 * slides_ : slides_; }  // of the slips at a node
+  int turns() const { return numbers() * (stages_ - 1); }
   int unknowns() const { return stage_unknowns() + rows_ * stages_ + turns(); }
   int held() const { return rows_ - fixed_; }
-  int turns_at(int node) const { return stage_unknowns() + rows_ * stages_ + (node - 1) * slides_; }
-  // The impulses of a node among the unknowns x, with the directions there, (rows + slides,); start: those of the
-  // first.
+  int turns_at(int node) const { return stage_unknowns() + rows_ * stages_ + (node - 1) * numbers(); }
+  // The impulses of a node among the unknowns x, with the numbers there, (rows + numbers,); start: those of the first.
   VecX of_node(const VecX& x, int node, const VecX& start) const;
   // The equations of the rows at the node after it: (rows,).
   void set_node(VecRef x, int node, const VecX& values) const;
   VecX anchor_changes(const ContactStepDirection& direction, const VecX& start) const;
   VecX friction_changes(const ContactStepDirection& direction) const;
   VecX force_change(int node, const ContactStepDirection& direction, const VecX& dq, const VecX& impulses) const;
-  VecX start_turns(const ContactStepDirection& direction);
+  VecX start_numbers(const ContactStepDirection& direction);
   // Along a direction and with changes x of the unknowns, (unknowns,): what the equations are off by, and what the end
-  // changes by, as HeldEnd has it. start: changes of the directions at the start. False where the impulse at the end
+  // changes by, as HeldEnd has it. start: changes of the numbers at the start. False where the impulse at the end
   // does not exist; size: of the terms of its equations.
   bool assess(const ContactStepDirection& direction, const VecX& x, const VecX& start, const VecX& size, VecRef off,
               VecRef end);
@@ -87,8 +91,9 @@ class HeldStepTangent {
   const Scene* scene_;
   const Tree* tree_;
   int nv_, stages_;
-  bool take_branch_;
+  Kinks* kinks_;
   int fixed_, rows_ = 0, slides_ = 0;  // rows of the constraints, of all; contacts that slide
+  bool varies_ = false;                // the friction of any of these depends on its speed
   const LobattoTable* table_;
   StepTangent step_;
   Guards guards_;
@@ -97,14 +102,15 @@ class HeldStepTangent {
   std::vector<int> rolling_;           // rows of velocities
   std::vector<std::size_t> slide_of_;  // contact of each slide
   HeldNode at_stage_;
-  std::vector<MatX> roll_W_, roll_change_;  // of these at each stage: W (nv, count), d(W^T v)/dq (count, nv)
-  std::vector<HeldNode> nodes_;             // s + 1
-  std::vector<NodeChart> charts_;           // of the stages
-  MatX weights_, to_nodes_;     // h a_ij as [j, i]; h times displacements at the nodes of rates, [j, k], (s, s + 1)
-  VecX load_;                   // constant force of joints that slide
-  VecX p_start_;                // with all impulses but the last one
-  MatX velocities_, impulses_;  // at the stages, (nv, s)
-  MatX dX_, dX_nodes_;          // along the present direction
+  // Of these at each stage: W (nv, count), and the derivatives of W^T v by q (count, nv) and by the time (count,).
+  std::vector<MatX> roll_W_, roll_change_;
+  std::vector<VecX> roll_rates_;
+  std::vector<HeldNode> nodes_;    // s + 1
+  std::vector<NodeChart> charts_;  // of the stages
+  MatX weights_, to_nodes_;        // h a_ij as [j, i]; h times displacements at the nodes of rates, [j, k], (s, s + 1)
+  VecX p_start_;                   // with all impulses but the last one
+  MatX velocities_, impulses_;     // at the stages, (nv, s)
+  MatX dX_, dX_nodes_;             // along the present direction
   StepDirection step_direction_;
   HeldStart start_;  // where something slides
   HeldSlips slips_;  // where contacts do

@@ -24,9 +24,10 @@ ImpactOptions options_of(const RecordedRun& run) {
 }
 }  // namespace
 
-ImpactTangent::ImpactTangent(const Scene& scene, const RecordedRun& run)
+ImpactTangent::ImpactTangent(const Scene& scene, const RecordedRun& run, Kinks& kinks)
     : scene_(&scene),
       run_(&run),
+      kinks_(&kinks),
       integrator_(scene.tree, run.stages, run.tol, 200),
       guards_(scene, run.contact_points),
       sequence_(scene, integrator_, guards_, options_of(run)),
@@ -44,6 +45,11 @@ ImpactTangent::ImpactTangent(const Scene& scene, const RecordedRun& run)
 void ImpactTangent::refuse(const char* reason, int guard, const char* fact, const char* expected,
                            const std::string& got, const char* remedy) const {
   throw NoDerivative({reason, guard, impact_->time}, fact, expected, got, remedy);
+}
+
+void ImpactTangent::meet(const char* reason, int guard, const char* fact, const char* expected, const std::string& got,
+                         const char* remedy) const {
+  kinks_->meet(NoDerivative({reason, guard, impact_->time}, fact, expected, got, remedy));
 }
 
 void ImpactTangent::take(const RecordedImpact& impact, const VecX& p_plus, const VecX& tau, const Servo* servo) {
@@ -88,6 +94,7 @@ void ImpactTangent::take_rows(const RecordedImpact& impact) {
   points_.clear();
   contact_points_.clear();
   t1_.clear();
+  surfaces_.clear();
   rows_ = 0;
   // Without a block one point had the impact: the first one of the contact.
   for (int k = 0; k < sequence_.count(); ++k) {
@@ -103,10 +110,12 @@ void ImpactTangent::take_rows(const RecordedImpact& impact) {
         refuse("witness", closed.guard, "The gap has no second derivative at an impact", "one pair of nearest points",
                contacts_[number].why(), "Start elsewhere, or round the edges of the shapes");
       const double e = impact.block != nullptr ? closed.e : impact.restitution;
-      points_.push_back({rows_, closed.rows_per_point(), e, closed.mu});
+      points_.push_back({rows_, closed.rows_per_point(), e, closed.friction(i, impact.p_minus)});
       contact_points_.push_back(point);
       contact_points_.back().guard = closed.guard;
       t1_.push_back(closed.t1[i]);
+      surfaces_.emplace_back();
+      if (closed.mu > 0.0) surfaces_.back().take(*scene_, closed.guard, contacts_[number], closed.t1[i], impact.time);
       rows_ += closed.rows_per_point();
     }
   }
@@ -164,12 +173,12 @@ void ImpactTangent::take_poisson(const RecordedImpact& impact) {
   law_.take(points_, gamma_, G_, solved.first, solved.lambda);
   margin_ = law_.margin();
   if (margin_ < kOnCone)
-    refuse("friction", impact.guard, "An impact changes between sticking and slipping",
-           "friction inside of its cone, or slip", "the limit of friction without slip", "Start elsewhere");
+    meet("friction", impact.guard, "An impact changes between sticking and slipping",
+         "friction inside of its cone, or slip", "the limit of friction without slip", "Start elsewhere");
   if (!law_.determines(Z_))
-    refuse("redundant", impact.guard, "An impact depends on how contact points share its impulse",
-           "impulses that the laws of contact determine", "points whose friction can be shared in several ways",
-           "Use fewer points (contact_points=3), or less friction");
+    meet("redundant", impact.guard, "An impact depends on how contact points share its impulse",
+         "impulses that the laws of contact determine", "points whose friction can be shared in several ways",
+         "Use fewer points (contact_points=3), or less friction");
 }
 
 // The rest of the step, over which an implicit map has its equation.
@@ -204,7 +213,7 @@ void ImpactTangent::take_rest(const RecordedImpact& impact, const VecX& tau, con
 void ImpactTangent::take_constrained_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo) {
   if (!constrained_rest_)
     constrained_rest_.reset(
-        new ConstrainedRest{{*scene_, guards_, guards_.manifolds()}, {}, ContactStepTangent(*scene_)});
+        new ConstrainedRest{{*scene_, guards_, guards_.manifolds()}, {}, ContactStepTangent(*scene_, *kinks_)});
   auto& [step, record, tangent] = *constrained_rest_;
   step.restart();
   step.invalidate();
@@ -241,7 +250,11 @@ double ImpactTangent::rest_change(const VecX& dq, const VecX& dp, double dh, dou
 void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   const int n = scene_->tree.nv;
   dW_.resize(n, rows_);
-  for (int i = 0; i < points(); ++i) contacts_[i].change(d.q, t1_[i], dW_.middleCols(points_[i].row, points_[i].rows));
+  std::vector<Eigen::Vector2d> moved(points_.size(), Eigen::Vector2d::Zero());
+  for (int i = 0; i < points(); ++i) {
+    contacts_[i].change(d.q, t1_[i], dW_.middleCols(points_[i].row, points_[i].rows));
+    if (surfaces_[i].moves()) moved[i] = surfaces_[i].change(contacts_[i]) + d.time * surfaces_[i].rate();
+  }
   const VecX none = VecX::Zero(n);
   rest_.momentum(impact_->q, u_, d.q, none, work_);
   if (d.parameters != nullptr) rest_.add_momentum(impact_->q, u_, *d.parameters, work_);
@@ -254,6 +267,8 @@ void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   }
   doffset_.setZero(rows_);
   if (projection_.any()) projection_.change(d.q, d.time, turned_, dW_, doffset_);
+  for (int i = 0; i < points(); ++i)
+    if (surfaces_[i].moves()) doffset_.segment<2>(points_[i].row + 1) += moved[i];
   dgamma_ = dW_.transpose() * u_ + Z_.transpose() * (d.p - heavier) + doffset_;
   dG_ = dW_.transpose() * Z_ + Z_.transpose() * dW_ - Z_.transpose() * turned_;
 }
@@ -272,26 +287,41 @@ VecX ImpactTangent::restitution_changes(const ImpactDirection& d) const {
   return de;
 }
 
+// Changes of the coefficients of friction, with those by the slip before the impact.
+VecX ImpactTangent::friction_changes(const ImpactDirection& d) const {
+  VecX dmu = d.mu;
+  for (int i = 0; i < points(); ++i) {
+    const ContactLaw* law = scene_->law(guard(i));
+    if (law == nullptr || !law->mu.given() || points_[i].rows == 1) continue;
+    const Eigen::Vector2d slip = gamma_.segment<2>(points_[i].row + 1);
+    dmu[i] = 0.0;
+    if (slip.norm() > 0.0)
+      dmu[i] = law->mu.slope(slip.norm()) * slip.normalized().dot(dgamma_.segment<2>(points_[i].row + 1));
+  }
+  return dmu;
+}
+
 // dLambda of a law without a closed form of its derivative: by differences of its solution, a function of few numbers.
 void ImpactTangent::apply_other_law(const ImpactDirection& d, const VecX& de, VecX& dlambda) {
   constexpr double kStep = 1e-3;  // of the numbers
   dlambda.setZero(rows_);
+  const VecX dmu = friction_changes(d);
   VecX mu(points());
   for (int i = 0; i < points(); ++i) mu[i] = points_[i].mu;
   const double share =
       std::max({dgamma_.cwiseAbs().maxCoeff() / gamma_.cwiseAbs().maxCoeff(),
-                dG_.cwiseAbs().maxCoeff() / G_.cwiseAbs().maxCoeff(), std::abs(de[0]), d.mu.cwiseAbs().maxCoeff()});
+                dG_.cwiseAbs().maxCoeff() / G_.cwiseAbs().maxCoeff(), std::abs(de[0]), dmu.cwiseAbs().maxCoeff()});
   if (!(share > 0.0)) return;
   const double step = kStep / share;
   for (const DifferenceTerm& term : kDifference) {
     const double by = term.count * step;
     const ImpactBlockResult& there = impact_block_.solve_again(gamma_ + by * dgamma_, G_ + by * dG_,
-                                                               points_[0].e + by * de[0], mu + by * d.mu, other_law_);
+                                                               points_[0].e + by * de[0], mu + by * dmu, other_law_);
     if (!there.ok) throw Error("a recorded impact was not solved");
     if (d.checked && impact_block_.course() != course_)
-      refuse("friction", impact_->guard, "An impact is next to a change of what it does",
-             "friction inside of its cone, or slip", "one that sticks, slips or turns back beside this one",
-             "Start elsewhere");
+      meet("friction", impact_->guard, "An impact is next to a change of what it does",
+           "friction inside of its cone, or slip", "one that sticks, slips or turns back beside this one",
+           "Start elsewhere");
     dlambda += term.weight / (kDifferenceParts * step) * there.lambda;
   }
 }
@@ -306,15 +336,18 @@ void ImpactTangent::apply_law(const ImpactDirection& d, VecX& dlambda) {
   }
   if (other_law_ != nullptr) return apply_other_law(d, de, dlambda);
   const double size = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
-  const PoissonDirection direction{dgamma_, dG_, de, d.mu, size * Z_.cwiseAbs().colwise().sum().transpose()};
+  const PoissonDirection direction{dgamma_, dG_, de, friction_changes(d),
+                                   size * Z_.cwiseAbs().colwise().sum().transpose()};
   const PoissonTangent::Outcome outcome = law_.solve(direction, dlambda);
   if (outcome == PoissonTangent::Outcome::kSolved || !d.checked) return;
   if (outcome == PoissonTangent::Outcome::kKink)
-    refuse("simultaneous", impact_->guard, "A contact neither closes nor separates in an impact of others",
-           "contacts that take part in an impact, or separate", "one on the border between both", "Start elsewhere");
-  refuse("redundant", impact_->guard, "Contact points that share their load contradict each other along a direction",
+    meet("simultaneous", impact_->guard, "A contact neither closes nor separates in an impact of others",
+         "contacts that take part in an impact, or separate", "one on the border between both",
+         "Start elsewhere; on_kink='taken' lets it take no part");
+  else
+    meet("redundant", impact_->guard, "Contact points that share their load contradict each other along a direction",
          "a direction that keeps the points of a face closed together", "one that opens some of them",
-         "Start with the bodies apart, or in touch at one point");
+         "Start with the bodies apart, or in touch at one point; on_kink='taken' keeps them closed");
 }
 
 void ImpactTangent::apply(const ImpactDirection& d, VecRef dp, double& loss) {

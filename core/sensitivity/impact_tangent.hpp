@@ -13,6 +13,7 @@
 
 #include "contact/contact_step.hpp"
 #include "geometry/contact_tangent.hpp"
+#include "geometry/surface_velocity_tangent.hpp"
 #include "impact/sequence.hpp"
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
@@ -37,7 +38,7 @@ struct ImpactDirection {
 
 class ImpactTangent {
  public:
-  ImpactTangent(const Scene& scene, const RecordedRun& run);
+  ImpactTangent(const Scene& scene, const RecordedRun& run, Kinks& kinks);
 
   // Takes an impact, p_plus after all of its records; tau, servo: of the control step. Throws NoDerivative.
   void take(const RecordedImpact& impact, const VecX& p_plus, const VecX& tau, const Servo* servo);
@@ -68,6 +69,9 @@ class ImpactTangent {
   const ContactPoint& contact_of(int point) const { return contact_points_[point]; }
   [[noreturn]] void refuse(const char* reason, int guard, const char* fact, const char* expected,
                            const std::string& got, const char* remedy) const;
+  // An obstacle that is a kink.
+  void meet(const char* reason, int guard, const char* fact, const char* expected, const std::string& got,
+            const char* remedy) const;
   void collect(const RecordedImpact& impact);
   void take_rows(const RecordedImpact& impact);
   void take_poisson(const RecordedImpact& impact);
@@ -75,12 +79,14 @@ class ImpactTangent {
   void take_constrained_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo);
   void add_row_changes(const ImpactDirection& direction);
   VecX restitution_changes(const ImpactDirection& direction) const;
+  VecX friction_changes(const ImpactDirection& direction) const;
   void apply_law(const ImpactDirection& direction, VecX& dlambda);
   void apply_other_law(const ImpactDirection& direction, const VecX& de, VecX& dlambda);
   double rest_change(const VecX& dq, const VecX& dp, double dh, double dt);
 
   const Scene* scene_;
   const RecordedRun* run_;
+  Kinks* kinks_;
   Integrator integrator_;
   Guards guards_;
   ImpactSequence sequence_;
@@ -97,6 +103,7 @@ class ImpactTangent {
   std::vector<ImpactPoint> points_;
   std::vector<ContactPoint> contact_points_;
   std::vector<Vec3> t1_;
+  std::vector<SurfaceVelocityTangent> surfaces_;  // of the points
   int rows_ = 1;
   VecX u_, lambda_, gamma_;
   MatX gradients_, W_, Z_, G_, dW_, dG_;  // gradients_: the rows before constraints answer

@@ -90,7 +90,8 @@ LinearStep linearize_contact_step(const Scene& scene, const VecX& q0, const VecX
   State end{kind, record.q1, record.v1, record.v1, record.p1};
   if (kind == StateKind::kMomentum) end.x = record.p1;
   engine_to_public(tree, end.q, end.x);
-  ContactStepTangent tangent(scene);
+  Kinks kinks(false);
+  ContactStepTangent tangent(scene, kinks);
   tangent.take(record, inputs.tau, servo);
   return all_columns(tree, masses, start.view(), end.view(), tangent);
 }
@@ -111,7 +112,8 @@ LinearStep linearize_held_step(const Scene& scene, const VecX& q0, const VecX& x
   PublicStep step(scene.tree, q0, x0, kind, h, inputs, integrator);
   HeldStepRecord record = held_step_record(integrator, step.q0, step.p0);
   record.joints = joints;
-  HeldStepTangent tangent(scene, stages, 1, false);
+  Kinks kinks(false);
+  HeldStepTangent tangent(scene, stages, 1, kinks);
   tangent.take(record, inputs.tau, integrator.servo());
   return all_columns(scene.tree, integrator, step.start(), step.end(), tangent);
 }

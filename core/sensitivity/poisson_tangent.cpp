@@ -69,9 +69,11 @@ void PoissonTangent::set_phase(Phase& phase, const VecX& least) {
     const double friction = phase.lambda.segment<2>(r + 1).norm(), limit = point.mu * normal;
     const bool slips = friction >= limit * (1.0 - kOnCone);
     // How far the friction is from its limit where it sticks, and the slip from zero where it slips.
-    margin_ = std::min(margin_, slips ? slip.norm() / (speed_ + kTiny) : (limit - friction) / (impulse_ + kTiny));
-    phase.modes.push_back(slips ? Mode::kSlip : Mode::kStick);
-    if (!slips || margin_ < kOnCone) continue;
+    const double margin = slips ? slip.norm() / (speed_ + kTiny) : (limit - friction) / (impulse_ + kTiny);
+    margin_ = std::min(margin_, margin);
+    const bool turns = slips && margin >= kOnCone;  // without a slip on the border it sticks
+    phase.modes.push_back(turns ? Mode::kSlip : Mode::kStick);
+    if (!turns) continue;
     const Eigen::Vector2d along = slip.normalized();
     const Eigen::Matrix2d turn =
         point.mu * normal / slip.norm() * (Eigen::Matrix2d::Identity() - along * along.transpose());

@@ -10,13 +10,13 @@ namespace contactvi {
 RunAdjoint::RunAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
-      take_branch_(take_branch),
+      kinks_(take_branch),
       integrator_(scene.tree, run.stages, run.tol, 200),
       tangent_(scene.tree, run.stages),
       adjoint_(scene.tree, run.stages),
       inputs_(scene.tree, run),
-      impact_(scene, run),
-      contact_(scene, run, take_branch),
+      impact_(scene, run, kinks_),
+      contact_(scene, run, kinks_),
       lq0_(scene.tree.nv),
       lp0_(scene.tree.nv),
       ltau_(scene.tree.nv) {
@@ -122,7 +122,7 @@ void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) 
 
 // The impacts at the end of a piece, and its time.
 void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradient& result) {
-  const EventHit hit = event_hit(*run_, piece, take_branch_);
+  const EventHit hit = event_hit(*run_, piece, kinks_.taken());
   std::vector<int> firsts;
   for (int i = 0; i < piece.impacts; i += run_->impacts[piece.first_impact + i].records())
     firsts.push_back(piece.first_impact + i);

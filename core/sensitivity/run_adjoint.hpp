@@ -49,7 +49,7 @@ class RunAdjoint {
 
   const Scene* scene_;
   const RecordedRun* run_;
-  bool take_branch_;
+  Kinks kinks_;
   Integrator integrator_;
   StepTangent tangent_;
   StepAdjoint adjoint_;

@@ -24,7 +24,7 @@ RunHessian::RunHessian(const Scene& scene, const RecordedRun& run)
       integrator_(scene.tree, run.stages, run.tol, 200),
       inputs_(scene.tree, run),
       hessian_(scene.tree, run.stages),
-      impact_(scene, run),
+      impact_(scene, run, kinks_),
       impact_second_(scene, run),
       public_(scene.tree, run.stages) {
   if (run.pieces.empty()) throw Error("a run without steps has no derivative");

@@ -72,6 +72,7 @@ class RunHessian {
   Integrator integrator_;
   PieceInputs inputs_;
   StepHessian hessian_;
+  Kinks kinks_{false};
   ImpactTangent impact_;
   ImpactHessian impact_second_;
   PublicHessian public_;

@@ -11,19 +11,19 @@ namespace contactvi {
 RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
-      take_branch_(take_branch),
+      kinks_(take_branch),
       forces_in_time_(forces_depend_on_time(scene.tree.elements)),
       integrator_(scene.tree, run.stages, run.tol, 200, true),
       tangent_(scene.tree, run.stages),
       map_(scene.tree, run.stages, false),
       node_map_(scene.tree),
       inputs_(scene.tree, run),
-      impact_(scene, run),
+      impact_(scene, run, kinks_),
       dq_(scene.tree.nv),
       dp_(scene.tree.nv),
       fq_(scene.tree.nv),
       fp_(scene.tree.nv),
-      contact_(scene, run, take_branch) {
+      contact_(scene, run, kinks_) {
   if (run.pieces.empty()) throw Error("a run without steps has no derivative");
 }
 
@@ -209,7 +209,7 @@ void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections&
 }
 
 // dT of the hit that was taken, of all columns; approach: how far it is from grazing.
-VecX RunTangent::time_change(const EventHit& hit, double& approach) const {
+VecX RunTangent::time_change(const EventHit& hit, double& approach) {
   const RecordedImpact& impact = run_->impacts[hit.impact];
   VecX later, size;
   for (std::size_t i = 0; i < std::max<std::size_t>(1, hit.points.size()); ++i) {
@@ -224,13 +224,13 @@ VecX RunTangent::time_change(const EventHit& hit, double& approach) const {
       continue;
     }
     if (((now - later).cwiseAbs().array() <= kTogether * (size + terms).array()).all()) continue;
-    refuse_apart(impact, hit);
+    kinks_.meet(points_apart(impact, hit));
   }
   return later;
 }
 
 void RunTangent::take_event(const Piece& piece, const RunDirections& d, RunDerivative& result) {
-  const EventHit hit = event_hit(*run_, piece, take_branch_);
+  const EventHit hit = event_hit(*run_, piece, kinks_.taken());
   const int first = piece.first_impact;
   const RecordedImpact& impact = run_->impacts[hit.impact];
   take_impact(impact);
@@ -362,6 +362,7 @@ RunDerivative RunTangent::solve(const RunDirections& given, const std::vector<do
       ++wanted;
     }
   }
+  result.kinks = kinks_.met();
   return result;
 }
 

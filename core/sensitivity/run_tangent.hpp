@@ -35,13 +35,13 @@ struct RunDerivative {
   std::vector<EventReport> events;
   MatX event_times;                    // dT of the events, (events, count) [s]
   std::vector<DenseStepReport> dense;  // of all dense steps
+  std::vector<Obstacle> kinks;         // where some direction has a kink and the branch of the run was taken
   double growth = 0;                   // largest size of the derivative of a state on the way, of its size at the start
 };
 
 class RunTangent {
  public:
-  // take_branch: where several guards are hit at one instant, the derivative of the order that was taken; else that
-  // is an obstacle.
+  // take_branch: at kinks, the derivative of what the run did (kinks.hpp); else they are obstacles.
   RunTangent(const Scene& scene, const RecordedRun& run, bool take_branch);
 
   // The derivative at these times, ascending. Throws NoDerivative.
@@ -59,14 +59,15 @@ class RunTangent {
   void take_event(const Piece& piece, const RunDirections& directions, RunDerivative& result);
   void set_reference(const Piece& piece);
   void take_impact(const RecordedImpact& impact);
-  VecX time_change(const EventHit& hit, double& approach) const;
+  VecX time_change(const EventHit& hit, double& approach);
   void apply_impact(const RecordedImpact& impact, const RunDirections& directions);
   void reach_node(const VecX& q, const VecX& p, double time, const RunDirections& directions);
   void record(double time, const VecX& q, const VecX& p, const RunDirections& directions, RunDerivative& result);
 
   const Scene* scene_;
   const RecordedRun* run_;
-  bool take_branch_, forces_in_time_;
+  Kinks kinks_;
+  bool forces_in_time_;
   Integrator integrator_;
   StepTangent tangent_;  // of single directions
   bool tangent_has_step_ = false;

@@ -38,13 +38,12 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
   const auto slides = static_cast<Eigen::Index>(phase.slides().size());
   masses_.set_time(step.t);
   masses_.set_servo(servo);
-  load_ = phase.load() != nullptr ? *phase.load() : VecX(VecX::Zero(n));
   start_ = {step.q0, step.p0, tau.size() > 0 ? tau : VecX(VecX::Zero(n)), VecX(slides), step.angles.col(0), step.t};
   rows_of_slides_.resize(static_cast<std::size_t>(slides));
   for (std::size_t i = 0; i < step.contacts.size(); ++i) {
     const int j = phase.slide(i);
     if (j < 0) continue;
-    start_.mu[j] = step.contacts[i].mu;
+    start_.mu[j] = phase.friction_varies(j) ? phase.friction(j, std::abs(step.slips(j, 0))) : step.contacts[i].mu;
     rows_of_slides_[static_cast<std::size_t>(j)] = tree.elements.constraint_rows + phase.row(i);
   }
   known_ = true;
@@ -65,7 +64,8 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
   by_tau_ = differences(n, sized(kStep * input), [](Place& at, Eigen::Index k, double by) { at.tau[k] += by; });
   by_mu_ = differences(slides, sized(kStep), [](Place& at, Eigen::Index k, double by) { at.mu[k] += by; });
   by_t_ = MatX::Zero(static_cast<Eigen::Index>(begins_.size()), 1);
-  if (tree.elements.driven() || forces_depend_on_time(tree.elements)) set_time_rates(step.h);
+  if (tree.elements.driven() || forces_depend_on_time(tree.elements) || scene_->contacts_depend_on_time())
+    set_time_rates(step.h);
   by_others_ = differences(slides, sized(kTurn), [](Place& at, Eigen::Index k, double by) { at.angles[k] += by; });
   solve_turns(mobility);
   return known_;
@@ -101,21 +101,21 @@ VecX SlipStart::across(const Place& at) {
   const Eigen::Index n = scene_->tree.nv, slides = at.angles.size();
   if (!masses_.node_velocity(at.q, at.p, v_)) throw Error("the mass matrix is not positive definite");
   forward_dynamics(masses_, at.q, v_, at.t, at.tau, a_);
-  VecX loaded = load_;
-  masses_.solve_mass(loaded);
-  a_ += loaded;
   const Eigen::Index rows = record_->lambda.rows();
-  if (!node_.take(at.q, at.t, VecX::Zero(n), VecX::Zero(rows), at.angles, VecX::Zero(n), *record_, *phase_, 0)) {
+  if (!node_.take(at.q, at.t, VecX::Zero(n), {VecX::Zero(rows), 0.0, at.angles, at.mu, VecX()}, *record_, *phase_, 0)) {
     known_ = false;
     return VecX::Zero(slides);
   }
+  VecX loaded = node_.load();
+  masses_.solve_mass(loaded);
+  a_ += loaded;
   MatX forces = node_.gradients(), watched, along;
   for (Eigen::Index j = 0; j < slides; ++j)
     forces.col(rows_of_slides_[static_cast<std::size_t>(j)]) -= at.mu[j] * node_.along().col(j);
   masses_.solve_masses(forces);
   node_.change_speeds(v_, watched, along);
   VecX c = node_.watched().transpose() * a_ + watched * v_, f;
-  c.head(rows) += node_.speed_rates(v_);
+  c += node_.speed_rates(v_);
   const MatX E = node_.watched().transpose() * forces;
   system_.compute(E.topRows(rows), scene_->tree.elements.constraint_rows);
   system_.solve(c.head(rows), VecX::Zero(rows), f);
@@ -162,11 +162,12 @@ void SlipStart::add_turns(const ContactStepDirection& d, const VecX& dmu, VecX& 
   turns(begins_) = found + framed(begins_);
 }
 
-void SlipStart::pass(VecX& lturns, StepParameters& sums) {
+void SlipStart::pass(VecX& lturns, VecX& lmu, StepParameters& sums) {
   if (begins_.empty()) return;
   const VecX l = lturns(begins_);
   lturns(begins_).setZero();
   lturns += by_others_.transpose() * l;
+  if (lmu.size() > 0) lmu += by_mu_.transpose() * l;
   VecX lforce = by_tau_.transpose() * l;
   public_to_engine(scene_->tree, record_->q0, lforce);
   parameters_.add_gradient(by_p_.transpose() * l, lforce, sums);

@@ -29,8 +29,9 @@ class SlipStart {
   // Adds to turns, the changes of all directions, (slides,), those of the slips that begin. dmu: of the coefficients of
   // friction of the slides.
   void add_turns(const ContactStepDirection& direction, const VecX& dmu, VecX& turns);
-  // Adds what the gradients in their directions, of lturns, make of the gradients in the other ones, and in parameters.
-  void pass(VecX& lturns, StepParameters& sums);
+  // Adds what the gradients in their directions, of lturns, make of the gradients in the other ones, in the coefficients
+  // of friction, (slides,) or none, and in parameters.
+  void pass(VecX& lturns, VecX& lmu, StepParameters& sums);
 
  private:
   // What the accelerations across the directions are functions of.
@@ -52,7 +53,7 @@ class SlipStart {
   PersistentRows* phase_ = nullptr;
   std::vector<int> begins_;
   std::vector<Eigen::Index> rows_of_slides_;
-  VecX load_, v_, a_;
+  VecX v_, a_;
   Place start_;
   SharedLoad system_;
   bool known_ = true;

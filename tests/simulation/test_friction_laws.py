@@ -244,15 +244,6 @@ def test_laws_of_friction_are_stored(tmp_path) -> None:
     assert "the surface velocity of ground" in cvi.Trajectory.load(tmp_path / "other.npz").scene.missing
 
 
-def test_derivatives_are_refused() -> None:
-    """A gradient through such a contact says so, and what does not touch has its derivative."""
-    scene = box_on_ground(static_friction=0.7)
-    run = cvi.simulate(scene, FLAT, [1.0, 0, 0, 0, 0, 0], duration=0.1, dt=0.01, order=2, record="gradient")
-    with pytest.raises(cvi.NotDifferentiable, match="law") as refused:
-        run.sensitivity("friction")
-    assert refused.value.reason == "law"
-
-
 def test_functions_that_fail_say_so() -> None:
     """Friction, adhesion and profiles that raise or return nonsense end the run with the name of the pair."""
 

@@ -1,0 +1,31 @@
+// What a run did where its motion has a kink: along a direction that leads to both sides the derivative is that of the
+// branch that was taken, an element of the generalised derivative (Clarke, "Optimization and nonsmooth analysis", 1983),
+// or there is none, by choice.
+#pragma once
+
+#include <vector>
+
+#include "base/no_derivative.hpp"
+
+namespace contactvi {
+
+class Kinks {
+ public:
+  explicit Kinks(bool taken) : taken_(taken) {}
+  bool taken() const { return taken_; }
+  // Throws the obstacle, or notes where it was.
+  void meet(const NoDerivative& obstacle) {
+    if (!taken_) throw obstacle;
+    const Obstacle& at = obstacle.where;
+    if (!met_.empty() && met_.back().time == at.time && met_.back().guard == at.guard) return;
+    met_.push_back(at);
+  }
+  // Those met so far.
+  const std::vector<Obstacle>& met() const { return met_; }
+
+ private:
+  bool taken_;
+  std::vector<Obstacle> met_;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,75 @@
+"""Derivatives of what rests, and of what is pushed: kinks that were taken."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import contactvi as cvi
+from derivatives.differences import FOURTH, transpose_error
+
+
+def table(e: float = 0.0) -> tuple[cvi.Scene, np.ndarray, np.ndarray]:
+    """Return a box that rests on a plane, and a ball that slides towards it."""
+    scene = cvi.Scene()
+    scene.add_halfspace(name="ground")
+    scene.add_box("box", [0.2, 0.2, 0.1], mass=1.0)
+    scene.add_sphere("ball", 0.04, mass=0.5)
+    scene.set_contact("ground", "box", friction=0.3, restitution=0.0)
+    scene.set_contact("ball", "box", friction=0.3, restitution=e)
+    scene.set_contact("ball", "ground", friction=0.0, restitution=0.0)
+    q, v = pin.neutral(scene.model), np.zeros(12)
+    q[2], q[7], q[9], v[6] = 0.05, -0.3, 0.04, 1.03
+    return scene, q, v
+
+
+def by_force(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, k: int, **options: Any) -> np.ndarray:
+    """Return the derivative of the end by a constant generalized force, by differences."""
+    found, step, steps = np.zeros(2 * scene.nv), 1e-3, round(options["duration"] / options["dt"])
+    base = cvi.simulate(scene, q, v, **options)
+    for count, weight in FOURTH:
+        control = np.tile(count * step * np.eye(scene.nv)[k], (steps, 1))
+        run = cvi.simulate(scene, q, v, control=control, **options)
+        end = np.r_[pin.difference(scene.model, base.q[-1], run.q[-1]), run.v[-1] - base.v[-1]]
+        found += weight / step * end
+    return found
+
+
+@pytest.mark.parametrize("order", [2, 4, 8])
+def test_a_box_that_rests_stays_where_forces_are_small(order: int) -> None:
+    """No force within friction and weight moves it, and its derivative says so."""
+    scene, q, v = table()
+    options = {"duration": 0.1, "dt": 0.01, "order": order}
+    S = cvi.simulate(scene, q, v, record="gradient", **options).sensitivity("control")
+    assert np.abs(S.matrix[-1][[*range(6), *range(12, 18)]][:, :6]).max() < 1e-12
+    for k in (6, 8):
+        np.testing.assert_allclose(S.matrix[-1][:, k], by_force(scene, q, v, k, **options), atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_pushing_begins(order: int) -> None:
+    """What the ball's force does is smooth; along forces on the box itself the impact has a kink, which is named."""
+    scene, q, v = table()
+    options = {"duration": 0.25, "dt": 0.01, "order": order}
+    run = cvi.simulate(scene, q, v, record="gradient", **options)
+    assert len(run.events) > 0
+    S = run.sensitivity("control", on_kink="taken")
+    np.testing.assert_allclose(S.matrix[-1][:, 6], by_force(scene, q, v, 6, **options), rtol=1e-6, atol=1e-8)
+    assert any(kink.reason in ("simultaneous", "redundant", "witness") for kink in S.report.kinks)
+    assert "kink" in str(S.report)
+    with pytest.raises(cvi.NotDifferentiable):
+        run.sensitivity("control")
+    alone = run.sensitivity("control:ball", on_kink="taken")
+    np.testing.assert_array_equal(alone.matrix, S.matrix[:, :, 6:12])
+    with pytest.raises(cvi.InputError, match="control:"):
+        run.sensitivity("control:bowl")
+
+
+def test_without_a_kink_nothing_is_noted() -> None:
+    scene, q, v = table()
+    run = cvi.simulate(scene, q, v, duration=0.1, dt=0.01, order=4, record="gradient")
+    assert run.sensitivity("control", on_kink="taken").report.kinks == ()
+    assert transpose_error(run, ["v0", "control"]) <= 2e-12
