@@ -19,6 +19,7 @@ from .errors import ApproximateDerivativeWarning as ApproximateDerivativeWarning
 from .errors import ConstraintError as ConstraintError
 from .errors import ContactviError as ContactviError
 from .errors import DenseStepWarning as DenseStepWarning
+from .errors import DeprecatedWarning as DeprecatedWarning
 from .errors import DerivativeError as DerivativeError
 from .errors import EngineError as EngineError
 from .errors import InputError as InputError

@@ -320,6 +320,10 @@ class UntestedPairWarning(UserWarning):
     """
 
 
+class DeprecatedWarning(FutureWarning):
+    """An old name, or an old meaning of one, that is understood for this release; the text says the new one."""
+
+
 class TornMeshWarning(UserWarning):
     """The file of a mesh consists of several, which were not told apart: its faces are wrong, its hull is right."""
 

@@ -46,6 +46,7 @@ class BatchOptions(FurtherOptions, total=False):
     impact: ImpactMap | None
     order: int | None
     tol: float | None
+    solver_tol: float | None
     sample_dt: float | None
     ledger: Mapping[str, float] | None
 

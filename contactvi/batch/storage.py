@@ -93,7 +93,7 @@ class StoredBatch:
                     _refuse(path, "a file of another format or schema")
                 places = {tuple(map(int, name.split("/")[:2])) for name in archive.namelist() if "/" in name}
                 self.keep, self._runs = str(header["keep"]), int(header["runs"])
-                self.options = Options.from_dict(header["options"])
+                self.options = Options.from_stored(header["options"])
                 self.given = tuple(map(str, header.get("given", ())))
         except (*UNREADABLE, TypeError) as error:
             _refuse(path, f"{type(error).__name__}: {error}", error)

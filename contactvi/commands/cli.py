@@ -48,6 +48,11 @@ Configuration = Annotated[
     str | None, typer.Option(help="Start of a model: the name of a keyframe of the MJCF or of a state of the SRDF.")
 ]
 
+SolverTol = Annotated[
+    float | None,
+    typer.Option(help="With a number as --dt: what the equations of a step are solved to, relative; 1e-12."),
+]
+
 
 class _Commands(typer.core.TyperGroup):
     """The commands; a ContactviError becomes a message and the exit code 2, never a traceback."""
@@ -108,10 +113,8 @@ def run(
         typer.Option(help="The value that mhc conserves: local (of the step) or global (of the start of the run)."),
     ] = None,
     order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
-    tol: Annotated[
-        float | None,
-        typer.Option(help="With a number as dt: what a step is solved to, relative. With auto: accuracy of q."),
-    ] = None,
+    tol: Annotated[float | None, typer.Option(help="With --dt auto: the accuracy of q, in m and rad.")] = None,
+    solver_tol: SolverTol = None,
     dt_contact: Annotated[
         float | None,
         typer.Option(help="Length of contact steps, of order 2, in seconds: by default --dt, above order 2 1e-3."),
@@ -165,7 +168,7 @@ def run(
     title = Path(scene_file).stem
     chosen: dict[str, Any] = {
         "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
-        "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
+        "tol": tol, "solver_tol": solver_tol, "record_every": record_every, "sample_dt": sample_dt,
         "dt_contact": dt_contact, "zeno": zeno, "support": support, "contact_mode": contact_mode,
     }  # fmt: skip
     given = {
@@ -211,7 +214,7 @@ def bench(
     ] = None,
     dt: Annotated[float | None, typer.Option(help="Time step in seconds around which the ladder is built.")] = None,
     duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
-    tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
+    solver_tol: SolverTol = None,
     orders: Annotated[str, typer.Option(metavar="2,4,...", help="Orders to compare, from 2, 4, ... 16.")] = "2,4,8,16",
     budget: Annotated[float, typer.Option(help="Wall time allowed in seconds.")] = 60.0,
 ) -> None:
@@ -226,7 +229,9 @@ def bench(
     make_folder(folder)
     with JobProgress(err, time_left=False) as bar:
         chosen = [int(order) if order.strip().isdigit() else 0 for order in orders.split(",")]
-        result = measure(scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, tol=tol)
+        result = measure(
+            scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, solver_tol=solver_tol
+        )
     out.print(bench_report.heading(result) + "\n", markup=False)
     print_table(out, bench_report.table(result))
     for line in ["", *bench_report.notes(result)]:
@@ -353,7 +358,7 @@ def check_gradient(
     impact: Annotated[str | None, typer.Option(help="Impact map: ctec, dtec or mhc.")] = None,
     mhc_reference: Annotated[str | None, typer.Option(help="The value that mhc conserves: local or global.")] = None,
     order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
-    tol: Annotated[float | None, typer.Option(help="What a step is solved to, relative.")] = None,
+    solver_tol: SolverTol = None,
 ) -> None:
     """Compare the exact derivatives of a run with differences of it; exit code 1 where they disagree, 4 without."""
     import contactvi as cvi
@@ -362,8 +367,8 @@ def check_gradient(
 
     scene = cvi.load_scene(scene_file)
     chosen: dict[str, Any] = {
-        "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order, "tol": tol,
-        "dt": dt, "wrt": [name.strip() for name in wrt.split(",")],
+        "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
+        "solver_tol": solver_tol, "dt": dt, "wrt": [name.strip() for name in wrt.split(",")],
     }  # fmt: skip
     try:
         with JobProgress(err) as bar:

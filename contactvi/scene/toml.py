@@ -33,8 +33,8 @@
                             v = { joint = value }, springs_at_rest = true | false,
                             assemble = true | false (the nearest start on the constraints)
     [[initial.body]]        name, xyz, rpy or quaternion, velocity, angular_velocity    of a free body
-    [run]                   dt = number | "auto", duration, order, tol, impact, mhc_reference, sample_dt, record_every,
-                            dense, dt_contact, zeno, support, ...   (options.Options)
+    [run]                   dt = number | "auto", duration, order, tol, solver_tol, impact, mhc_reference, sample_dt,
+                            record_every, dense, dt_contact, zeno, support, ...   (options.Options)
     [run.ledger]            own_jump = 1e-10, ...                   tolerances (contactvi.trajectory.ledger)
 
 SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z, w), velocities are in world axes.
@@ -55,12 +55,13 @@ from typing import Any
 
 import pinocchio as pin
 
+from contactvi.aliases import warn_deprecated
 from contactvi.errors import InputError, SceneError
 from contactvi.importing.part import Part
 from contactvi.importing.paths import resolve_path, unreadable
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.inputs import listed, pose
-from contactvi.options import Options
+from contactvi.options import Options, is_auto
 from contactvi.scene.contact_laws import CONTACT_SETTINGS
 from contactvi.scene.scene import GRAVITY, Scene
 from contactvi.scene.toml_start import set_start
@@ -98,11 +99,23 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
                 _add_element(scene, section, entry)
     set_start(scene, data, file)
     _set_camera(scene, data, file)
-    scene.settings = dict(data.get("run", {}))
+    scene.settings = _run_settings(data.get("run", {}), file)
     if "dt" in scene.settings:
         with at(file, "run"):
             Options.from_dict(scene.settings)
     return scene
+
+
+def _run_settings(entries: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """Return the settings of [run]; tol beside a number as dt is solver_tol, which it was called in older files."""
+    settings = dict(entries)
+    if "tol" in settings and "solver_tol" not in settings and not is_auto(settings):
+        warn_deprecated(
+            f"{file}, [run]: tol is the accuracy of q, which steps of a given length do not choose. Write solver_tol ="
+            f" {settings['tol']}, the tolerance to which the equations of a step are solved, as which it is taken"
+        )
+        settings["solver_tol"] = settings.pop("tol")
+    return settings
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -56,6 +56,7 @@ def simulate(
     impact: ImpactMap | None = None,
     order: int | None = None,
     tol: float | None = None,
+    solver_tol: float | None = None,
     sample_dt: float | None = None,
     control: ArrayLike | Control | None = None,
     target: Any = None,
@@ -77,7 +78,8 @@ def simulate(
             by steps, "dtec", order 2, record_every, or tolerances on the discrete energy or on jumps of the modified
             one.
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
-        tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
+        tol: the accuracy asked of q, for "auto" [m, rad]; by default 1e-6.
+        solver_tol: for a number as dt what the equations of a step are solved to, relative; by default 1e-12.
         sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.
         impact: the impact map, see `Options`.
         **options: mhc_reference, record_every, dense, ...: see `Options`.
@@ -109,7 +111,7 @@ def simulate(
     """
     chosen: dict[str, Any] = {
         **options, "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
-        "sample_dt": sample_dt, "ledger": ledger,
+        "solver_tol": solver_tol, "sample_dt": sample_dt, "ledger": ledger,
     }  # fmt: skip
     throw = flag("throw", throw)
     settings = settings_of(scene, chosen, forced=control is not None or by_steps(target))

@@ -315,7 +315,7 @@ def _read_header(path: Path, entries: Entries) -> dict[str, Any]:
 def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, Any]:
     scene = Scene.from_dict(header["scene"])
     sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
-    options = Options.from_dict(header["options"])
+    options = Options.from_stored(header["options"])
     read = EntryReader(path, entries, sizes)
     nodes = read.nodes(_stored_nodes(options))
     t = nodes.pop("t")

@@ -38,12 +38,13 @@ def test_run_writes_everything(command, tmp_path):
 
 
 def test_run_with_other_settings(command, tmp_path):
-    settings = ("--dt", 5e-3, "--duration", 0.5, "--record-every", 10, "--impact", "ctec", "--order", 2, "--tol", 1e-10)
+    settings = ("--dt", 5e-3, "--duration", 0.5, "--record-every", 10, "--impact", "ctec", "--order", 2)
+    settings += ("--solver-tol", 1e-10)
     result = command("run", ball_file(tmp_path), *settings, "--no-html", "--no-plot")
     assert result.exit_code == OK
     assert [path.name for path in Path("ball").iterdir()] == ["trajectory.npz"]  # the folder has the scene's name
     options = cvi.Trajectory.load("ball/trajectory.npz").options
-    assert options == cvi.Options(dt=5e-3, duration=0.5, record_every=10, tol=1e-10)
+    assert options == cvi.Options(dt=5e-3, duration=0.5, record_every=10, solver_tol=1e-10)
 
 
 def test_run_that_ends_early(command, tmp_path):

@@ -77,7 +77,7 @@ def test_impacts_account_for_the_energy(ball):
         assert event.energy_change == pytest.approx(jump, abs=1e-12 * ball.energy[0])
         assert event.gamma_plus == pytest.approx(-0.8 * event.gamma_minus, rel=16 * EPS)
     rest = ball.energy - ball.energy[0] - ball.impact_energy
-    assert np.abs(rest).max() <= 10 * ball.options.tol * ball.energy[0]
+    assert np.abs(rest).max() <= 10 * ball.options.solver_tol * ball.energy[0]
 
 
 def test_events_are_a_sequence(ball):
