@@ -24,6 +24,7 @@ from .errors import DerivativeError as DerivativeError
 from .errors import EngineError as EngineError
 from .errors import InputError as InputError
 from .errors import NotDifferentiable as NotDifferentiable
+from .errors import OverwriteError as OverwriteError
 from .errors import PenetrationError as PenetrationError
 from .errors import SceneError as SceneError
 from .errors import SeparationError as SeparationError

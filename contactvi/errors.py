@@ -90,6 +90,14 @@ class InputError(ContactviError, ValueError):
         super().__init__(what, **texts)
 
 
+class OverwriteError(InputError):
+    """A file that is there already and would be replaced. `path` is the file."""
+
+    def __init__(self, what: str, *, path: object | None = None, **texts: Unpack[_Texts]) -> None:
+        self.path = None if path is None else str(path)
+        super().__init__(what, name="path", **texts)
+
+
 class SceneError(ContactviError):
     """A file or a model that cannot be used. `path`, `joint` and `body` tell where, when known.
 

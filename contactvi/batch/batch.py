@@ -20,6 +20,7 @@ from contactvi.batch.results import BatchResult
 from contactvi.batch.runs import blocks_of
 from contactvi.batch.storage import StoredBatch, save_batch
 from contactvi.errors import DenseStepWarning, InputError
+from contactvi.files import check_free
 from contactvi.inputs import callback, check_choice
 from contactvi.options import Dt, FurtherOptions, ImpactMap
 from contactvi.simulation.settings import settings_of
@@ -65,6 +66,7 @@ def simulate_batch(
     executor: Executor | None = ...,
     progress: bool | Callable[[int, int], object] = ...,
     path: None = ...,
+    overwrite: bool = ...,
     **options: Unpack[BatchOptions],
 ) -> BatchResult: ...
 
@@ -83,6 +85,7 @@ def simulate_batch(
     executor: Executor | None = ...,
     progress: bool | Callable[[int, int], object] = ...,
     path: str | os.PathLike[str],
+    overwrite: bool = ...,
     **options: Unpack[BatchOptions],
 ) -> StoredBatch: ...
 
@@ -100,6 +103,7 @@ def simulate_batch(
     executor: Executor | None = None,
     progress: bool | Callable[[int, int], object] = False,
     path: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
     **options: Unpack[BatchOptions],
 ) -> BatchResult | StoredBatch:
     """Run a scene from many starts, with many parameters or inputs, in several threads.
@@ -126,18 +130,22 @@ def simulate_batch(
             ProcessPoolExecutor or dask's `Client.get_executor()`; what is sent there has to be picklable. A chunk that
             is lost with its worker is sent again, three times at most.
         path: write the results to this file while runs end, and return a `StoredBatch`, which reads what is asked for.
-            The file is there when all runs have ended; only a regular file is replaced.
+            The file is there when all runs have ended.
+        overwrite: whether a file at `path` is replaced; else it is refused before the first run.
         progress: True shows a progress bar; or a function called as progress(runs made, runs) now and then.
         **options: duration, dt, order, ...: as in `simulate`.
 
     Raises:
         InputError: for arguments whose shapes do not fit, and for bad options. Errors of single runs are in the result.
+        OverwriteError: there is a file at `path`, without `overwrite`.
         ContactviError: the executor lost a chunk of runs again and again.
         KeyboardInterrupt: on Ctrl-C, which ends the runs under way within a tenth of a second.
 
     Warns:
         DenseStepWarning: once, where runs with contact_mode="auto" took dense steps.
     """
+    if path is not None:
+        check_free(path, overwrite)
     inputs = {"q0": q0s, "v0": v0s, "control": control, "target": target}
     kept = "ends" if keep is None else _checked(keep)
     if isinstance(scene, Simulator):
@@ -164,7 +172,9 @@ def simulate_batch(
         made = blocks_of(plan, number, report) if executor is None else blocks_by(executor, plan, number, report)
         dense: list[int] = []
         blocks = _watched(made, plan, dense)
-        result = BatchResult(plan.keep, joined(list(blocks))) if path is None else save_batch(path, plan, blocks)
+        result = (
+            BatchResult(plan.keep, joined(list(blocks))) if path is None else save_batch(path, plan, blocks, overwrite)
+        )
         if report is not None:
             report(plan.runs)
     if sum(dense) and settings.contact_mode == "auto":

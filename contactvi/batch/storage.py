@@ -42,7 +42,9 @@ FORMAT = "contactvi-batch"
 SCHEMA = 1
 
 
-def save_batch(path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block]) -> StoredBatch:
+def save_batch(
+    path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block], overwrite: bool = False
+) -> StoredBatch:
     """Write blocks to a file as they come; return the file."""
 
     def write(file: IO[bytes]) -> None:
@@ -61,7 +63,7 @@ def save_batch(path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block]
                 _put(archive, f"{first}/{len(block)}/texts", np.array(json.dumps(_texts(block))))
                 first += len(block)
 
-    return StoredBatch(write_atomic(path, write))
+    return StoredBatch(write_atomic(path, write, overwrite))
 
 
 def load_batch(path: str | os.PathLike[str]) -> StoredBatch:

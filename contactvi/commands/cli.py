@@ -18,6 +18,7 @@ from contactvi.commands.console import (
     FAILED,
     NO_DERIVATIVE,
     WRONG_INPUT,
+    Force,
     err,
     make_folder,
     out,
@@ -25,7 +26,7 @@ from contactvi.commands.console import (
 )
 from contactvi.commands.export import export
 from contactvi.commands.live import live_options, run_live
-from contactvi.commands.output import Phases, print_summary, write_files
+from contactvi.commands.output import ENERGY, FORCES, PAGE, RUN, Phases, own_folder, print_summary, write_files
 from contactvi.commands.pictures import CameraOption, camera_value, play, render
 from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
 from contactvi.interrupts import held_back
@@ -63,8 +64,14 @@ class _Commands(typer.core.TyperGroup):
         except ContactviError as error:
             if isinstance(error, SimulationError) and error.status and error.status.code == StatusCode.INTERRUPTED:
                 raise KeyboardInterrupt from error
-            print_error(error)
+            print_error(error, self._flags(ctx))
             raise typer.Exit(NO_DERIVATIVE if isinstance(error, NotDifferentiable) else WRONG_INPUT) from error
+
+    def _flags(self, ctx: Any) -> dict[str, str]:
+        """Return the flags of the command that was called, by the names of their arguments."""
+        command = self.get_command(ctx, ctx.invoked_subcommand or "")
+        options = [] if command is None else [param for param in command.params if param.opts[0].startswith("--")]
+        return {str(param.name): max(param.opts, key=len) for param in options}
 
 
 app = typer.Typer(
@@ -152,10 +159,12 @@ def run(
     save_scene: Annotated[
         Path | None, typer.Option(metavar="SCENE.toml", help="Write the scene file that says what a run assumes.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Run a scene or a model; write trajectory.npz, playback.html, energy.png, and forces.png of persistent contact.
 
-    A model with a free base is dropped on a plane; one with a fixed base is held, and its joints move limp.
+    A model with a free base is dropped on a plane; one with a fixed base is held, and its joints move limp. Files of an
+    earlier run of the same scene are replaced, others only with --force.
     """
     view = camera_value(camera)
     phases = Phases()
@@ -176,7 +185,7 @@ def run(
         "allow": allow,
     }  # fmt: skip
     with phases.of("build"):
-        scene = scene_to_run(scene_file, given, save_scene, chosen)
+        scene = scene_to_run(scene_file, given, save_scene, chosen, force)
         if view is not None:
             scene.camera = view
         if live:
@@ -184,7 +193,8 @@ def run(
         settings = settings_of(scene, chosen)
         scene.core()
     folder = output if output is not None else Path(title)
-    make_folder(folder)  # before the run: a long one must not fail when its files are written
+    # Before the run: a long one must not fail when its files are written.
+    make_folder(folder, (RUN, PAGE, ENERGY, FORCES), force or own_folder(folder, scene))
     with held_back() as ctrl_c:  # what was computed is written
         try:
             with RunProgress(settings.span, err) as bar, warnings.catch_warnings():
@@ -217,6 +227,7 @@ def bench(
     solver_tol: SolverTol = None,
     orders: Annotated[str, typer.Option(metavar="2,4,...", help="Orders to compare, from 2, 4, ... 16.")] = "2,4,8,16",
     budget: Annotated[float, typer.Option(help="Wall time allowed in seconds.")] = 60.0,
+    force: Force = False,
 ) -> None:
     """Measure run time against error of a scene over orders, impact maps and steps; write bench.png and bench.csv."""
     import contactvi as cvi
@@ -226,7 +237,7 @@ def bench(
 
     scene = cvi.load_scene(scene_file)
     folder = output if output is not None else Path(f"{scene_file.stem}-bench")
-    make_folder(folder)
+    make_folder(folder, ("bench.csv", "bench.png"), force)
     with JobProgress(err, time_left=False) as bar:
         chosen = [int(order) if order.strip().isdigit() else 0 for order in orders.split(",")]
         result = measure(
@@ -253,6 +264,7 @@ def reproduce(
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer random starts and repeats: well under a minute.")
     ] = False,
+    force: Force = False,
 ) -> None:
     """Measure the claims of the paper's Table I and draw its Fig. 1; write report.md, table.csv and pictures."""
     from contactvi.progress import JobProgress
@@ -260,7 +272,7 @@ def reproduce(
     from contactvi.reproduce.report import summary as verdicts
     from contactvi.reproduce.report import verdict
 
-    make_folder(output)
+    make_folder(output, ("report.md", "table.csv"), force)
     with JobProgress(err) as bar:
         result = reproduction.reproduce(output, quick=quick, progress=bar)
     print_table(out, name_table((row.key, verdict(row), row.measured) for row in result.rows))

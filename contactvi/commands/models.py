@@ -73,14 +73,14 @@ class ModelScene:
     assumed: list[tuple[str, str]] = field(default_factory=list)
     tables: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
 
-    def save(self, path: Path, settings: Mapping[str, Any]) -> Path:
+    def save(self, path: Path, settings: Mapping[str, Any], overwrite: bool) -> Path:
         """Write the scene file that says what was assumed, with these settings of the run; return its path."""
         folder = path.resolve().parent
         run = {**self.scene.settings, **{name: value for name, value in settings.items() if value is not None}}
         lines = ["# Written by contactvi run --save-scene. SI units, radians."]
         for header, keys in [*self.tables, ("[run]", run)]:
             lines += ["", header, *(f"{_key(key)} = {_value(key, value, folder)}" for key, value in keys.items())]
-        return write_atomic(path, lambda file: file.write(("\n".join(lines) + "\n").encode()))
+        return write_atomic(path, lambda file: file.write(("\n".join(lines) + "\n").encode()), overwrite)
 
 
 def choice_of(given: Mapping[str, Any]) -> Choice:
@@ -88,7 +88,9 @@ def choice_of(given: Mapping[str, Any]) -> Choice:
     return Choice(**{name: value for name, value in given.items() if value is not None})
 
 
-def scene_to_run(file: str, given: Mapping[str, Any], save_scene: Path | None, settings: Mapping[str, Any]) -> Scene:
+def scene_to_run(
+    file: str, given: Mapping[str, Any], save_scene: Path | None, settings: Mapping[str, Any], force: bool
+) -> Scene:
     """Return the scene of a scene file, or of a model, whose assumptions are printed and saved.
 
     Args:
@@ -101,7 +103,7 @@ def scene_to_run(file: str, given: Mapping[str, Any], save_scene: Path | None, s
         found = model_scene(file, choice_of(given))
         print_assumed(file, found)
         if save_scene is not None:
-            out.print(f"Scene file: {escape(str(found.save(save_scene, settings)))}")
+            out.print(f"Scene file: {escape(str(found.save(save_scene, settings, force)))}")
         out.print()
         return found.scene
     for name, value in {**given, "save_scene": save_scene}.items():

@@ -15,6 +15,7 @@ from contactvi.commands.console import err, out
 from contactvi.tables import name_table, print_table
 
 if TYPE_CHECKING:
+    from contactvi.scene.scene import Scene
     from contactvi.trajectory.trajectory import Trajectory
 
 
@@ -37,22 +38,35 @@ class Phases:
         return ", ".join(f"{name} {seconds:.2g} s" for name, seconds in self.seconds.items())
 
 
+RUN, PAGE, ENERGY, FORCES = "trajectory.npz", "playback.html", "energy.png", "forces.png"
+
+
+def own_folder(folder: Path, scene: Scene) -> bool:
+    """Return whether the run in a folder is one of this scene, which may replace what it has left there."""
+    if not (folder / RUN).is_file():
+        return False
+    from contactvi.scene.fingerprint import fingerprint
+    from contactvi.trajectory.storage import stored_fingerprint
+
+    return stored_fingerprint(folder / RUN) == fingerprint(scene.to_dict())
+
+
 def write_files(
     traj: Trajectory, folder: Path, title: str, fps: float | None, plot: bool, phases: Phases
 ) -> list[Path]:
     """Write the files of a run, the playback where it has a frame rate; return their paths."""
     with phases.of("save"):
-        written = [traj.save(folder / "trajectory.npz")]
+        written = [traj.save(folder / RUN, overwrite=True)]
     if fps is not None:
         with phases.of("playback"):
-            written.append(traj.to_html(folder / "playback.html", fps=fps, title=title))
+            written.append(traj.to_html(folder / PAGE, fps=fps, title=title, overwrite=True))
     if plot:
         with phases.of("plots"):
             from contactvi.trajectory.plots import save_force_plot, save_plot
 
-            written.append(save_plot(traj, folder / "energy.png"))
+            written.append(save_plot(traj, folder / ENERGY, overwrite=True))
             if np.any(traj.contacts.h > 0.0):
-                written.append(save_force_plot(traj, folder / "forces.png"))
+                written.append(save_force_plot(traj, folder / FORCES, overwrite=True))
     return written
 
 

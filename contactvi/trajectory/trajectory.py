@@ -419,11 +419,15 @@ class Trajectory(Exports):
     def _within(self, times: ArrayLike) -> Array:
         return times_within(times, float(self.t[0]), float(self.t[-1]))
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path."""
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path.
+
+        Raises:
+            OverwriteError: there is such a file, without `overwrite`. InputError: a path that cannot be written.
+        """
         from contactvi.trajectory.storage import save
 
-        return save(self, path)
+        return save(self, path, overwrite)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:

@@ -37,6 +37,40 @@ def test_run_writes_everything(command, tmp_path):
     assert Path("out/energy.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_folder_of_a_run_is_reused_by_its_scene_alone(command, tmp_path):
+    """Settings may differ; another scene needs --force, and so do results that no run of ours has made."""
+    scene = ball_file(tmp_path)
+    quick = ("-o", "out", "--no-html", "--no-plot")
+    assert command("run", scene, *quick).exit_code == OK
+    assert command("run", scene, "--dt", 5e-3, "--duration", 0.5, *quick).exit_code == OK
+    before = Path("out/trajectory.npz").read_bytes()
+    assert cvi.Trajectory.load("out/trajectory.npz").options.dt == 5e-3
+    other = tmp_path / "other.toml"
+    other.write_text(Path(scene).read_text() + '\n[[sphere]]\nname = "more"\nradius = 0.1\nxyz = [2.0, 0.0, 3.0]\n')
+    result = command("run", other, *quick)
+    reported(result, "--force")
+    assert "trajectory.npz" in result.stderr
+    assert Path("out/trajectory.npz").read_bytes() == before
+    assert command("run", other, *quick, "--force").exit_code == OK
+    assert cvi.Trajectory.load("out/trajectory.npz").q.shape[1] == 14
+    Path("mine").mkdir()
+    Path("mine/energy.png").write_text("drawn by hand")
+    reported(command("run", scene, "-o", "mine"), "energy.png")
+    assert Path("mine/energy.png").read_text() == "drawn by hand"
+
+
+def test_commands_that_write_beside_a_run_replace_its_page_alone(command, tmp_path):
+    cvi.simulate(cvi.load_scene(ball_file(tmp_path)), duration=0.1).save("run.npz")
+    assert command("play", "run.npz", "--no-browser").exit_code == OK
+    assert command("play", "run.npz", "--no-browser").exit_code == OK  # its own page
+    Path("run.html").write_text("<html>mine</html>")
+    reported(command("play", "run.npz", "--no-browser"), "--force")
+    assert command("play", "run.npz", "--no-browser", "--force").exit_code == OK
+    assert command("export", "run.npz").exit_code == OK
+    reported(command("export", "run.npz"), "--force")
+    assert command("export", "run.npz", "--force").exit_code == OK
+
+
 def test_run_with_other_settings(command, tmp_path):
     settings = ("--dt", 5e-3, "--duration", 0.5, "--record-every", 10, "--impact", "ctec", "--order", 2)
     settings += ("--solver-tol", 1e-10)
@@ -101,7 +135,7 @@ def test_wrong_input_of_run(command, tmp_path):
     reported(command("run", scene, "--dt", -1), "dt is not usable", "-1.0")
     reported(command("run", scene, "--impact", "mch"), "Did you mean 'mhc'", "remedy:")
     reported(command("run", scene, "--impact", "mhc", "--mhc-reference", "start"), "'local' | 'global'")
-    reported(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use duration=")
+    reported(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use --duration 1.01")
     reported(command("run", scene, "--fps", 0, "-o", "out"), "fps")
     (tmp_path / "file").write_text("")
     reported(command("run", scene, "-o", "file/out"), "Cannot make the folder")
