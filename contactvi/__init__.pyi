@@ -1,6 +1,7 @@
 # The public names and where they live. contactvi/__init__.py reads this file and loads each on first use.
 from . import errors as errors
 from .batch.batch import simulate_batch as simulate_batch
+from .batch.loading import load as load
 from .batch.results import BatchResult as BatchResult
 from .batch.storage import StoredBatch as StoredBatch
 from .batch.storage import load_batch as load_batch

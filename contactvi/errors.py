@@ -339,7 +339,8 @@ class TornMeshWarning(UserWarning):
 def nearest(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str | None:
     """Return the choice most like `word`, or None when nothing is near; `cutoff` is difflib's, from 0 to 1."""
     names = [str(choice) for choice in choices]
-    found = difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
+    same = [name for name in names if name.lower() == word.lower()]
+    found = same or difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
     if not found:
         lower = {name.lower(): name for name in names}
         found = [lower[key] for key in difflib.get_close_matches(word.lower(), list(lower), n=1, cutoff=cutoff)]

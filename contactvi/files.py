@@ -6,6 +6,7 @@ import contextlib
 import glob
 import itertools
 import os
+import pickle
 import socket
 import stat
 import tempfile
@@ -40,6 +41,13 @@ def check_free(path: str | os.PathLike[str], overwrite: bool) -> Path:
             remedy="Give another path, or overwrite=True, which replaces the file",
         )  # fmt: skip
     return named
+
+
+def told(error: BaseException) -> str:
+    """Return in one line why a file cannot be read; of NumPy's advice on pickles, which run code, nothing is told."""
+    if isinstance(error, pickle.UnpicklingError) or "pickle" in str(error):
+        return "a file of another kind, or with Python objects in it"
+    return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}"
 
 
 def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], object], overwrite: bool = True) -> Path:

@@ -32,7 +32,7 @@ from contactvi.batch.blocks import COLUMNS, Block, joined
 from contactvi.batch.plan import Plan
 from contactvi.batch.results import BatchResult, BatchStatus
 from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.files import UNREADABLE, as_a_path, checked_path, write_atomic
+from contactvi.files import UNREADABLE, as_a_path, checked_path, told, write_atomic
 from contactvi.inputs import short
 from contactvi.options import Options
 from contactvi.status import StatusCode
@@ -98,7 +98,7 @@ class StoredBatch:
                 self.options = Options.from_stored(header["options"])
                 self.given = tuple(map(str, header.get("given", ())))
         except (*UNREADABLE, TypeError) as error:
-            _refuse(path, f"{type(error).__name__}: {error}", error)
+            _refuse(path, told(error), error)
         self._places = sorted(places)
         ends = [0, *(first + count for first, count in self._places)]
         if [first for first, _ in self._places] != ends[:-1] or ends[-1] != self._runs:
@@ -171,7 +171,7 @@ def _readable(path: Path) -> Iterator[None]:
     except (*UNREADABLE, TypeError) as error:
         if isinstance(error, ContactviError):
             raise
-        _refuse(path, f"{type(error).__name__}: {error}", error)
+        _refuse(path, told(error), error)
 
 
 def _put(archive: zipfile.ZipFile, name: str, values: NDArray[Any]) -> None:

@@ -48,10 +48,11 @@ from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import Names, PartHandle, Selector
 from contactvi.scene.separation import Separation, separate
-from contactvi.scene.shown import scene_html
+from contactvi.scene.shown import refuse_attribute, scene_html, scene_line, scene_text
 from contactvi.scene.surfaces import FunctionSurface, function_surface, missing_name
 
 GRAVITY = (0.0, 0.0, -9.81)
+_SETTABLE = ("q0", "v0", "settings", "camera", "compiled")
 
 
 class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
@@ -90,8 +91,21 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         # functions of the user in it may hold the scene in turn.
         self.compiled: object = None
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute that a scene has; another one would have no effect.
+
+        Raises:
+            InputError: for what it has not, and what only its methods change.
+        """
+        if type(self) is Scene and not name.startswith("_") and name not in _SETTABLE:
+            refuse_attribute(name, type(self), _SETTABLE)
+        super().__setattr__(name, value)
+
     def __repr__(self) -> str:
-        return f"<Scene: {len(self.parts)} parts, {len(self.elements)} elements>"
+        return scene_line(self, None if self._built is None else self._built.pairs)
+
+    def __str__(self) -> str:
+        return scene_text(self)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""

@@ -137,7 +137,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, SceneError
-from contactvi.files import UNREADABLE, as_a_path, check_free, checked_path, write_atomic
+from contactvi.files import UNREADABLE, as_a_path, check_free, checked_path, told, write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
 from contactvi.records.contacts import ChangeLog, ContactLog
@@ -276,7 +276,7 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
         with file:
             entries = {name: file[name] for name in file.files}
     except (*UNREADABLE, pickle.UnpicklingError) as error:
-        refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
+        refuse(path, told(error), error)
     header = _read_header(path, entries)
     try:
         return _build(path, entries, _unpack(header, entries))
