@@ -4,6 +4,7 @@ from .batch.batch import simulate_batch as simulate_batch
 from .batch.loading import load as load
 from .batch.results import BatchResult as BatchResult
 from .batch.storage import StoredBatch as StoredBatch
+from .batch.storage import join_batches as join_batches
 from .batch.storage import load_batch as load_batch
 from .derivatives.gradient import gradient as gradient
 from .derivatives.gradient_check import GradientCheck as GradientCheck

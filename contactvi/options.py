@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, TypedDict, get_args
 
 from contactvi.aliases import warn_deprecated
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import InputError
 from contactvi.inputs import check_choice, count, flag, mapping, positive, short
+from contactvi.keywords import meant
 from contactvi.run_settings import (
     AUTO,
     CONTACT_DT,
@@ -308,6 +309,7 @@ def _check_samples(duration: float | None, sample_dt: float) -> None:
 
 
 _NAMES = tuple(entry.name for entry in fields(Options))
+FurtherOptions.described = SteppingOptions.described = Options  # type: ignore[attr-defined]
 
 
 def option_names() -> tuple[str, ...]:
@@ -324,7 +326,7 @@ def check_names(settings: Mapping[str, Any]) -> None:
                 name=str(name),
                 expected="an option of the run",
                 got=repr(name),
-                remedy=did_you_mean(str(name), _NAMES),
+                remedy=meant(str(name), _NAMES),
             )
 
 

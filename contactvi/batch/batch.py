@@ -17,12 +17,14 @@ from contactvi.batch.blocks import Block, joined
 from contactvi.batch.executors import blocks_by
 from contactvi.batch.plan import Plan, Report, plan_from, plan_of
 from contactvi.batch.results import BatchResult
+from contactvi.batch.resume import Resumed
 from contactvi.batch.runs import blocks_of
 from contactvi.batch.storage import StoredBatch, save_batch
 from contactvi.errors import DenseStepWarning, InputError
-from contactvi.files import check_free
-from contactvi.inputs import callback, check_choice
-from contactvi.options import Dt, FurtherOptions, ImpactMap
+from contactvi.files import check_free, checked_path
+from contactvi.inputs import callback, check_choice, flag
+from contactvi.keywords import with_keywords
+from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.simulation import check_no_steps
 from contactvi.simulation.simulator import Simulator
@@ -52,6 +54,9 @@ class BatchOptions(FurtherOptions, total=False):
     ledger: Mapping[str, float] | None
 
 
+BatchOptions.described = Options  # type: ignore[attr-defined]
+
+
 @overload
 def simulate_batch(
     scene: Scene | Simulator,
@@ -67,6 +72,7 @@ def simulate_batch(
     progress: bool | Callable[[int, int], object] = ...,
     path: None = ...,
     overwrite: bool = ...,
+    resume: bool = ...,
     **options: Unpack[BatchOptions],
 ) -> BatchResult: ...
 
@@ -86,10 +92,12 @@ def simulate_batch(
     progress: bool | Callable[[int, int], object] = ...,
     path: str | os.PathLike[str],
     overwrite: bool = ...,
+    resume: bool = ...,
     **options: Unpack[BatchOptions],
 ) -> StoredBatch: ...
 
 
+@with_keywords(BatchOptions)
 def simulate_batch(
     scene: Scene | Simulator,
     q0s: ArrayLike | None = None,
@@ -104,6 +112,7 @@ def simulate_batch(
     progress: bool | Callable[[int, int], object] = False,
     path: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    resume: bool = False,
     **options: Unpack[BatchOptions],
 ) -> BatchResult | StoredBatch:
     """Run a scene from many starts, with many parameters or inputs, in several threads.
@@ -132,8 +141,11 @@ def simulate_batch(
         path: write the results to this file while runs end, and return a `StoredBatch`, which reads what is asked for.
             The file is there when all runs have ended.
         overwrite: whether a file at `path` is replaced; else it is refused before the first run.
+        resume: keep the runs that are made in the folder PATH.parts until all are, so that the same call goes on after
+            an interruption; where the file is complete it is returned. What the runs depend on is compared: scene,
+            options, starts, parameters and inputs, which have to be arrays.
         progress: True shows a progress bar; or a function called as progress(runs made, runs) now and then.
-        **options: duration, dt, order, ...: as in `simulate`.
+        **options: as of `Options`.
 
     Raises:
         InputError: for arguments whose shapes do not fit, and for bad options. Errors of single runs are in the result.
@@ -144,7 +156,12 @@ def simulate_batch(
     Warns:
         DenseStepWarning: once, where runs with contact_mode="auto" took dense steps.
     """
-    if path is not None:
+    if flag("resume", resume) and path is None:
+        raise InputError(
+            "Runs are kept in files to be resumed", name="resume", expected="a path with resume=True", got="none",
+            remedy="Give path=..., the file of the batch",
+        )  # fmt: skip
+    if path is not None and not resume:
         check_free(path, overwrite)
     inputs = {"q0": q0s, "v0": v0s, "control": control, "target": target}
     kept = "ends" if keep is None else _checked(keep)
@@ -169,12 +186,21 @@ def simulate_batch(
     number = Workers(workers).number if executor is None or workers is not None else 4 * cores()
     with ExitStack() as stack:
         report = _report(plan.runs, progress, stack)
-        made = blocks_of(plan, number, report) if executor is None else blocks_by(executor, plan, number, report)
         dense: list[int] = []
-        blocks = _watched(made, plan, dense)
-        result = (
-            BatchResult(plan.keep, joined(list(blocks))) if path is None else save_batch(path, plan, blocks, overwrite)
-        )
+
+        def made(part: Plan, first: int) -> Iterator[Block]:
+            told = report if report is None or not first else lambda count: report(first + count)
+            blocks = blocks_of(part, number, told) if executor is None else blocks_by(executor, part, number, told)
+            return _watched(blocks, part, dense)
+
+        result: BatchResult | StoredBatch
+        if path is None:
+            result = BatchResult(plan.keep, joined(list(made(plan, 0))))
+        elif resume:
+            resumed = Resumed(checked_path(path), plan, overwrite)
+            result = resumed.finished or resumed.run(made)
+        else:
+            result = save_batch(path, plan, made(plan, 0), overwrite)
         if report is not None:
             report(plan.runs)
     if sum(dense) and settings.contact_mode == "auto":

@@ -1,4 +1,4 @@
-"""The command line: `contactvi run`, `bench`, `verify`, `reproduce`, `play`, `render`, `export`, `check` and more.
+"""The command line: `contactvi run`, `play`, `plot`, `render`, `export`, `check`, `bench`, `verify` and more.
 
 Exit codes: 0 done; 1 a case of verify failed, or a derivative; 2 wrong input, reported as expected, got, remedy; 3 the
 run ended early, with its files written where it has some; 4 the run has no derivative; 130 stopped by Ctrl-C.
@@ -7,6 +7,8 @@ run ended early, with its files written where it has some; 4 the run has no deri
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,12 +29,13 @@ from contactvi.commands.console import (
 from contactvi.commands.export import export
 from contactvi.commands.live import live_options, run_live
 from contactvi.commands.output import ENERGY, FORCES, PAGE, RUN, Phases, own_folder, print_summary, write_files
-from contactvi.commands.pictures import CameraOption, camera_value, play, render
+from contactvi.commands.pictures import CameraOption, camera_value, play, plot_run, render
 from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
 from contactvi.interrupts import held_back
 from contactvi.status import StatusCode
 from contactvi.tables import name_table, print_table
 from contactvi.version import version
+from contactvi.words import in_flags
 
 PackageDir = Annotated[
     list[str] | None, typer.Option("--package-dir", help="Folder in which package:// is looked for; repeatable.")
@@ -60,12 +63,23 @@ class _Commands(typer.core.TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = partial(self._show_warning, ctx, warnings.showwarning)
+                return super().invoke(ctx)
         except ContactviError as error:
             if isinstance(error, SimulationError) and error.status and error.status.code == StatusCode.INTERRUPTED:
                 raise KeyboardInterrupt from error
             print_error(error, self._flags(ctx))
             raise typer.Exit(NO_DERIVATIVE if isinstance(error, NotDifferentiable) else WRONG_INPUT) from error
+
+    def _show_warning(
+        self, ctx: Any, other: Callable[..., None], message: Warning, category: type[Warning], *place: Any
+    ) -> None:
+        """Print a warning of ours in the words of the command line; others as Python does."""
+        if category.__module__.partition(".")[0] != "contactvi":
+            other(message, category, *place)
+            return
+        err.print(f"[bold yellow]Warning:[/] {escape(in_flags(str(message), self._flags(ctx)))}")
 
     def _flags(self, ctx: Any) -> dict[str, str]:
         """Return the flags of the command that was called, by the names of their arguments."""
@@ -146,8 +160,10 @@ def run(
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
     plot: Annotated[
         bool,
-        typer.Option("--plot/--no-plot", help="Write energy.png, and forces.png where there was persistent contact."),
-    ] = True,
+        typer.Option(
+            "--plot/--no-plot", help="Draw what contactvi plot draws at once: energy.png, and forces.png of contact."
+        ),
+    ] = False,
     base: Base = None,
     configuration: Configuration = None,
     height: Annotated[
@@ -161,7 +177,7 @@ def run(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Run a scene or a model; write trajectory.npz, playback.html, energy.png, and forces.png of persistent contact.
+    """Run a scene or a model; write trajectory.npz and playback.html, with --plot what contactvi plot draws, too.
 
     A model with a free base is dropped on a plane; one with a fixed base is held, and its joints move limp. Files of an
     earlier run of the same scene are replaced, others only with --force.
@@ -208,7 +224,7 @@ def run(
         except SimulationError as error:
             traj = error.trajectory
         written = write_files(traj, folder, title, fps if html else None, plot, phases)
-        print_summary(traj, written, phases)
+        print_summary(traj, written, phases, folder, plot)
     if traj.status.ok:
         ctrl_c.check()
     if not traj.status.ok:
@@ -317,6 +333,7 @@ def verify(
 
 
 app.command()(play)
+app.command("plot")(plot_run)
 app.command()(render)
 app.command()(export)
 

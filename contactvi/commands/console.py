@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from contactvi.commands.words import in_flags
 from contactvi.errors import ContactviError, InputError, OverwriteError
+from contactvi.words import in_flags
 
 FAILED, WRONG_INPUT, ENDED_EARLY, NO_DERIVATIVE = 1, 2, 3, 4
 out = Console(highlight=False, soft_wrap=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ import numpy as np
 from rich.markup import escape
 
 from contactvi.commands.console import err, out
+from contactvi.files import check_free
 from contactvi.tables import name_table, print_table
 
 if TYPE_CHECKING:
@@ -62,12 +64,21 @@ def write_files(
             written.append(traj.to_html(folder / PAGE, fps=fps, title=title, overwrite=True))
     if plot:
         with phases.of("plots"):
-            from contactvi.trajectory.plots import save_force_plot, save_plot
-
-            written.append(save_plot(traj, folder / ENERGY, overwrite=True))
-            if np.any(traj.contacts.h > 0.0):
-                written.append(save_force_plot(traj, folder / FORCES, overwrite=True))
+            written += draw_plots(traj, folder, "png", overwrite=True)
     return written
+
+
+def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool) -> list[Path]:
+    """Draw the energy of a run, and its contact forces if it has some, as files of this kind; return their paths."""
+    from contactvi.trajectory.plots import save_force_plot, save_plot
+
+    names = [(folder / ENERGY).with_suffix(f".{kind}"), (folder / FORCES).with_suffix(f".{kind}")]
+    if not np.any(traj.contacts.h > 0.0):
+        del names[1]
+    for name in names:
+        check_free(name, overwrite)
+    written = [save_plot(traj, names[0], overwrite=True)]
+    return [*written, *(save_force_plot(traj, name, overwrite=True) for name in names[1:])]
 
 
 def run_title(file: Path) -> str:
@@ -76,13 +87,15 @@ def run_title(file: Path) -> str:
     return parent if file.stem == "trajectory" and parent else file.stem
 
 
-def print_summary(traj: Trajectory, written: list[Path], phases: Phases) -> None:
+def print_summary(traj: Trajectory, written: list[Path], phases: Phases, folder: Path, plotted: bool) -> None:
     """Print what a run did, the files, the times of the parts of the command, and what a user has to be warned of."""
     from contactvi.commands.summary import summary
 
     lines = summary(traj)
     for k, path in enumerate(written):
         lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
+    if not plotted:
+        lines.append(("plots", f"contactvi plot {shlex.quote(str(folder))}"))
     lines.append(("took", str(phases)))
     print_table(out, name_table(lines))
     if traj.status.ok and traj.options.auto and not traj.error_estimate <= traj.options.tol:

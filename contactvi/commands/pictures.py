@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import typer
 from rich.markup import escape
 
-from contactvi.commands.console import Force, out
+from contactvi.commands.console import Force, make_folder, out
 from contactvi.commands.output import run_title
+from contactvi.inputs import check_choice
 
 CameraOption = Annotated[
     str | None,
@@ -52,6 +53,33 @@ def play(
     out.print(f"Playback: {escape(str(page))}")
     if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
         out.print("No browser was found: open the page by hand.")
+
+
+def plot_run(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of a run, or its file (.npz).", show_default=False)
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for the plots, by default the run's.")
+    ] = None,
+    kind: Annotated[str, typer.Option("--format", help="png or svg.")] = "png",
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the plots.")] = True,
+    force: Force = False,
+) -> None:
+    """Draw the energy of a run and its contact forces, as energy.png and forces.png, and open them."""
+    from contactvi.commands.output import RUN, draw_plots
+    from contactvi.trajectory.trajectory import Trajectory
+
+    check_choice("format", kind, ("png", "svg"), "Unknown format of a plot")
+    file = run / RUN if run.is_dir() else run
+    again = force or (output is None and file.name == RUN)  # of a folder that contactvi run has made
+    traj = Trajectory.load(file)
+    folder = file.parent if output is None else output
+    make_folder(folder)
+    for path in draw_plots(traj, folder, kind, again):
+        out.print(f"Plot: {escape(str(path))}")
+        if browser and not webbrowser.open(path.resolve().as_uri(), new=2):
+            out.print("No browser was found: open the plot by hand.")
 
 
 def _is_page(path: Path) -> bool:

@@ -22,6 +22,7 @@ from contactvi.derivatives.constrained_starts import ConstrainedStarts
 from contactvi.derivatives.perturbed_runs import SOLVED, PerturbedRuns, RunEnd
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import callback, check_choice, count, real, short
+from contactvi.keywords import with_keywords
 from contactvi.options import FurtherOptions, ImpactMap
 from contactvi.simulation.simulation import Control, simulate
 from contactvi.trajectory.sensitivity import ON_KINK, PLAIN, Sensitivity, wanted
@@ -144,6 +145,7 @@ class GradientCheck:
         return text + (f", {counts[NEITHER]} disagree" if counts[NEITHER] else "")
 
 
+@with_keywords(FurtherOptions)
 def check_gradient(
     scene: Scene,
     q0: ArrayLike | None = None,

@@ -108,7 +108,7 @@ class Contact:
         fields = {"pair": " | ".join(self.pair), "t": f"{self.t:.9g} s", "h": f"{self.h:.6g} s"}
         fields |= {"point": str(self.point), "mode": self.mode + (", in a dense step" if self.dense else "")}
         for name, unit in (("position", "m"), ("normal", ""), ("impulse", "N s"), ("force", "N"), ("slip", "m/s")):
-            fields[name] = "({:.6g}, {:.6g}, {:.6g}) {}".format(*getattr(self, name), unit)
+            fields[name] = "(" + ", ".join(f"{x:.6g}" for x in getattr(self, name)) + f") {unit}"
         return html_fields("Contact", fields | {"gap": f"{self.gap:.3g} m"})
 
 

@@ -19,6 +19,7 @@ from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
 from contactvi.inputs import flag, mapping, pose, real, vector
+from contactvi.keywords import refusing_methods
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
@@ -55,6 +56,7 @@ GRAVITY = (0.0, 0.0, -9.81)
 _SETTABLE = ("q0", "v0", "settings", "camera", "compiled")
 
 
+@refusing_methods
 class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
     """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
 

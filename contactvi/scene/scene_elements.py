@@ -20,6 +20,7 @@ from contactvi.elements.element import Element
 from contactvi.elements.forces import PathSpring, UserForce, UserPotential, Wrench
 from contactvi.errors import InputError
 from contactvi.inputs import flag, short
+from contactvi.keywords import refusing_methods
 from contactvi.scene.build import Built
 from contactvi.scene.driven import driven_by
 from contactvi.scene.element_list import ElementList
@@ -28,6 +29,7 @@ from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Selector
 
 
+@refusing_methods
 class SceneElements:
     """The methods of a scene that add and remove elements (contactvi.elements).
 

@@ -7,6 +7,7 @@ length of the step, as a sensor that integrates would show them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,7 +54,7 @@ class ContactReading:
     points: int
 
 
-class _Sensor:
+class _Sensor(ABC):
     """What sensors show of themselves: where they are, and what they read now, if they can.
 
     Attributes:
@@ -63,9 +64,9 @@ class _Sensor:
     _simulator: Simulator
     where: str
 
+    @abstractmethod
     def _shown(self) -> dict[str, str]:
         """Return what the sensor shows now, by name, with units; raises SimulationError before there is something."""
-        raise NotImplementedError
 
     def __repr__(self) -> str:
         name = type(self).__name__

@@ -20,6 +20,7 @@ from contactvi.errors import (
 )
 from contactvi.inputs import callback, check_signature, flag
 from contactvi.interrupts import CtrlC, held_back
+from contactvi.keywords import with_keywords
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.records.codes import Change
 from contactvi.simulation import adaptive
@@ -46,6 +47,7 @@ Progress = Callable[[float, int], object]
 Control = Callable[[float, Array, Array], ArrayLike]
 
 
+@with_keywords(FurtherOptions)
 def simulate(
     scene: Scene,
     q0: ArrayLike | None = None,
@@ -82,7 +84,7 @@ def simulate(
         solver_tol: for a number as dt what the equations of a step are solved to, relative; by default 1e-12.
         sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.
         impact: the impact map, see `Options`.
-        **options: mhc_reference, record_every, dense, ...: see `Options`.
+        **options: as of `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
             nv), one of shape (nv,) for all steps, or a function (t, q, v) -> (nv,) called at the start of each step.
         target: reference of the servos (Scene.set_servo): an array or a function of t, one number per servo joint, or

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import ConstraintError, InputError, SceneError, SimulationError
 from contactvi.inputs import MOST_STEPS, callback, short
 from contactvi.interrupts import held_back
+from contactvi.keywords import with_keywords
 from contactvi.options import Options, SteppingOptions
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
@@ -60,6 +61,7 @@ class Simulator(PresentDynamics):
     SimulationError. The motion has the same digits with each.
     """
 
+    @with_keywords(SteppingOptions)
     def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
         if dt is None and checked_scene(scene).settings.get("dt") is None:
             settings = Options.from_dict({**scene.settings, **options})  # raises: there is no time step

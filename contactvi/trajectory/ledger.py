@@ -128,7 +128,7 @@ class Ledger:
 
     def __repr__(self) -> str:
         dense = f", {len(self.dense_steps)} dense steps" if len(self.dense_steps) else ""
-        return f"<Ledger: {len(self.t)} nodes, {len(self.events)} impacts{dense}; print(ledger) measures them>"
+        return f"<Ledger: {len(self.t)} nodes, {len(self.events)} impacts{dense}>"
 
     def __str__(self) -> str:
         rows = [f"  {name:24} {value:10.3g} {unit}" for name, value, unit in deviations(self)]

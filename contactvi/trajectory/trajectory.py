@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.aliases import alias, renamed_arguments
 from contactvi.errors import InputError
+from contactvi.keywords import Passed
 from contactvi.options import Options
 from contactvi.records.codes import STEP_KINDS
 from contactvi.records.compliant_contacts import CompliantContacts, compliant_contacts
@@ -35,6 +36,8 @@ from contactvi.trajectory.stepping import stepping_of
 
 if TYPE_CHECKING:
     from contactvi import _core
+    from contactvi.playback.page import write_html
+    from contactvi.playback.render import render as draw
     from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
     from contactvi.scene.separation import Separation
@@ -436,28 +439,11 @@ class Trajectory(Exports):
 
         return cls(**load(path))
 
-    def to_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Write a self-contained page that plays the run; return its path.
-
-        options: fps, title, play, forces, camera (contactvi.playback.page.write_html).
-        """
-        from contactvi.playback.keywords import check_keywords
-        from contactvi.playback.page import write_html
-
-        check_keywords(write_html, options, "to_html")
-        return write_html(self, path, **options)
-
-    def render(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Draw the run into a .gif, .mp4 or .png; return its path.
-
-        options: at (the time of a .png [s]), start, end, fps, speed (of a film), camera, size, forces
-        (contactvi.playback.render.render).
-        """
-        from contactvi.playback.keywords import check_keywords
-        from contactvi.playback.render import render
-
-        check_keywords(render, options, "render")
-        return render(self, path, **options)
+    if TYPE_CHECKING:
+        to_html, render = write_html, draw
+    else:
+        to_html = Passed("contactvi.playback.page", "write_html")
+        render = Passed("contactvi.playback.render", "render")
 
     def _engine(self) -> _core.Scene:
         if self._core is None:

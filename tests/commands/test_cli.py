@@ -24,7 +24,7 @@ OK, WRONG_INPUT, ENDED_EARLY = 0, 2, 3
 
 
 def test_run_writes_everything(command, tmp_path):
-    result = command("run", ball_file(tmp_path), "-o", "out")
+    result = command("run", ball_file(tmp_path), "-o", "out", "--plot")
     assert result.exit_code == OK
     assert sorted(path.name for path in Path("out").iterdir()) == ["energy.png", "playback.html", "trajectory.npz"]
     texts = ("SUCCESS", "1 s simulated in 100 steps", "order 2, dt = 0.01 s", "impacts 1", "x real time")
@@ -35,6 +35,28 @@ def test_run_writes_everything(command, tmp_path):
     assert len(traj) == 101
     assert "<title>ball</title>" in Path("out/playback.html").read_text()
     assert Path("out/energy.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_plots_are_drawn_when_they_are_asked_for(command, tmp_path):
+    """A run does not load what draws them; `plot` draws them beside the run, anew where they are there."""
+    code = (
+        "import sys; from contactvi.commands.cli import app\n"
+        f"try: app(['run', {str(ball_file(tmp_path))!r}, '-o', 'out'])\n"
+        "except SystemExit as end: print('matplotlib' in sys.modules, end.code)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "False 0"
+    assert "contactvi plot out" in run.stdout
+    assert sorted(path.name for path in Path("out").iterdir()) == ["playback.html", "trajectory.npz"]
+    for _ in range(2):
+        assert command("plot", "out", "--no-browser").exit_code == OK
+        assert Path("out/energy.png").read_bytes().startswith(b"\x89PNG")
+    assert not Path("out/forces.png").exists()  # nothing persists
+    assert command("plot", "out/trajectory.npz", "--no-browser", "--format", "svg", "-o", "there").exit_code == OK
+    assert "<svg" in Path("there/energy.svg").read_text()
+    reported(command("plot", "out", "--no-browser", "--format", "svg", "-o", "there"), "--force")
+    reported(command("plot", "out", "--no-browser", "--format", "gif"), "'png' | 'svg'")
+    reported(command("plot", "none"), "no such file")
 
 
 def test_the_folder_of_a_run_is_reused_by_its_scene_alone(command, tmp_path):
@@ -82,7 +104,7 @@ def test_run_with_other_settings(command, tmp_path):
 
 
 def test_run_that_ends_early(command, tmp_path):
-    result = command("run", ball_file(tmp_path, restitution=0.5, duration=3.0), "-o", "out", "--zeno", "end")
+    result = command("run", ball_file(tmp_path, restitution=0.5, duration=3.0), "-o", "out", "--zeno", "end", "--plot")
     assert result.exit_code == ENDED_EARLY
     assert "ended early: ZENO" in result.stderr
     assert "'ball' and 'ground' accumulate" in result.stderr

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 if __name__ == "__main__":
@@ -39,7 +40,7 @@ def scene_file(folder: Path, duration: float, restitution: float = 0.8) -> Path:
 
 def run(folder: Path, duration: float) -> subprocess.Popen[str]:
     """Start `contactvi run` of a ball; the results go to folder/out."""
-    arguments = ["run", str(scene_file(folder, duration)), "-o", "out"]
+    arguments = ["run", str(scene_file(folder, duration)), "-o", "out", "--plot"]
     return commands.start(commands.program() + arguments, folder)
 
 
@@ -156,7 +157,9 @@ def _write_small(folder: Path, limit: int) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     told = {}
     for name, write in (
-        ("trajectory.npz", traj.save), ("playback.html", traj.to_html), ("energy.png", lambda p: save_plot(traj, p)),
+        ("trajectory.npz", partial(traj.save, overwrite=True)),
+        ("playback.html", partial(traj.to_html, overwrite=True)),
+        ("energy.png", partial(save_plot, traj, overwrite=True)),
     ):  # fmt: skip
         try:
             write(folder / name)
