@@ -3,8 +3,8 @@
     sbatch --array=0-15 --time=1:00:00 --requeue --wrap "python slurm_array.py"
     python slurm_array.py --join                    # when all tasks have ended
 
-Slurm tells each task its number and how many there are; without Slurm set SLURM_ARRAY_TASK_ID and
-SLURM_ARRAY_TASK_COUNT. A task that is stopped and started again (`--requeue`) goes on with the runs that it lacks, and
+Slurm tells each task its number and how many there are (SLURM_ARRAY_TASK_ID, SLURM_ARRAY_TASK_COUNT); without it one task
+makes all runs. A task that is stopped and started again (`--requeue`) goes on with the runs that it lacks, and
 one that is done ends at once. The joined file has the bits of one call with all runs.
 """
 
@@ -37,7 +37,8 @@ def starts(scene: cvi.Scene, runs: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def make_share(folder: Path, runs: int) -> cvi.StoredBatch:
-    task, tasks = int(os.environ["SLURM_ARRAY_TASK_ID"]), int(os.environ["SLURM_ARRAY_TASK_COUNT"])
+    task = int(os.environ.get("SLURM_ARRAY_TASK_ID", "0"))
+    tasks = int(os.environ.get("SLURM_ARRAY_TASK_COUNT", "1"))
     scene = ball()
     q, v = starts(scene, runs)
     mine = np.array_split(np.arange(runs), tasks)[task]
@@ -55,7 +56,7 @@ def join_shares(folder: Path) -> cvi.StoredBatch:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=10_000)
+    parser.add_argument("--runs", type=int, default=2_000)
     parser.add_argument("--folder", type=Path, default=Path())
     parser.add_argument("--join", action="store_true", help="join the shares instead of making one")
     given = parser.parse_args()
