@@ -3,8 +3,8 @@
     sbatch --array=0-15 --time=1:00:00 --requeue --wrap "python slurm_array.py"
     python slurm_array.py --join                    # when all tasks have ended
 
-Slurm tells each task its number and how many there are (SLURM_ARRAY_TASK_ID, SLURM_ARRAY_TASK_COUNT); without it one task
-makes all runs. A task that is stopped and started again (`--requeue`) goes on with the runs that it lacks, and
+Slurm tells each task its number and how many there are (SLURM_ARRAY_TASK_ID, SLURM_ARRAY_TASK_COUNT); without it one
+task makes all runs. A task that is stopped and started again (`--requeue`) goes on with the runs that it lacks, and
 one that is done ends at once. The joined file has the bits of one call with all runs.
 """
 

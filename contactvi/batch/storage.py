@@ -228,7 +228,8 @@ class StoredBatch(Batch):
         if isinstance(k, (int, np.integer)):
             _ = range(self._runs)[int(k)]
             raise not_kept(self.keep, k)
-        chosen = np.arange(self._runs)[k] if not isinstance(k, str) and np.size(k) else np.zeros(0, dtype=int)
+        none = isinstance(k, str) or (not isinstance(k, slice) and len(k) == 0)
+        chosen = np.zeros(0, dtype=int) if none else np.arange(self._runs)[k]
         if not len(chosen):
             raise InputError(
                 "These are no runs of the file", name="k", expected=f"some of 0:{self._runs}", got=short(k),

@@ -14,6 +14,7 @@ from contactvi.scene.build import Built
 from contactvi.scene.compliance import Compliance
 from contactvi.scene.contact_laws import checked_contact
 from contactvi.scene.contact_rules import ContactRules
+from contactvi.scene.notes import noted
 from contactvi.scene.pairs import ENABLED_BY_USER, untested_reason
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Selector
@@ -21,6 +22,7 @@ from contactvi.scene.surface_motion import SurfaceMotion
 
 
 @refusing_methods
+@noted
 class SceneContacts:
     """The methods of a scene that say what its contacts do, and which pairs of shapes are tested."""
 

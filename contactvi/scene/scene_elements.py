@@ -25,11 +25,13 @@ from contactvi.scene.build import Built
 from contactvi.scene.driven import driven_by
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import one_number
+from contactvi.scene.notes import noted
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Selector
 
 
 @refusing_methods
+@noted
 class SceneElements:
     """The methods of a scene that add and remove elements (contactvi.elements).
 

@@ -36,7 +36,7 @@ ELEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
-    "scene": ("title", "description", "gravity", "camera"),
+    "scene": ("title", "description", "gravity", "camera", "order"),
     "urdf": (
         "path",
         "base",
