@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import IO
 
 from contactvi.errors import ContactviError, InputError, OverwriteError, SceneError
-from contactvi.inputs import flag
 
 # What NumPy and zipfile raise for an archive that is damaged, truncated or something else altogether: of an unknown
 # compression NotImplementedError, of one with a password RuntimeError.
@@ -33,6 +32,8 @@ def check_free(path: str | os.PathLike[str], overwrite: bool) -> Path:
     Raises:
         OverwriteError: there is such a file, and it is not to be replaced. InputError: no path.
     """
+    from contactvi.inputs import flag  # which loads Pinocchio: the command line and readers of files need not
+
     named = checked_path(path)
     if not flag("overwrite", overwrite) and named.is_file():
         raise OverwriteError(

@@ -13,7 +13,6 @@ import numpy as np
 from rich.markup import escape
 
 from contactvi.commands.console import err, out
-from contactvi.files import check_free
 from contactvi.tables import name_table, print_table
 
 if TYPE_CHECKING:
@@ -70,6 +69,7 @@ def write_files(
 
 def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool) -> list[Path]:
     """Draw the energy of a run, and its contact forces if it has some, as files of this kind; return their paths."""
+    from contactvi.files import check_free
     from contactvi.trajectory.plots import save_force_plot, save_plot
 
     names = [(folder / ENERGY).with_suffix(f".{kind}"), (folder / FORCES).with_suffix(f".{kind}")]

@@ -11,7 +11,6 @@ from rich.markup import escape
 
 from contactvi.commands.console import Force, make_folder, out
 from contactvi.commands.output import run_title
-from contactvi.inputs import check_choice
 
 CameraOption = Annotated[
     str | None,
@@ -68,6 +67,7 @@ def plot_run(
 ) -> None:
     """Draw the energy of a run and its contact forces, as energy.png and forces.png, and open them."""
     from contactvi.commands.output import RUN, draw_plots
+    from contactvi.inputs import check_choice
     from contactvi.trajectory.trajectory import Trajectory
 
     check_choice("format", kind, ("png", "svg"), "Unknown format of a plot")

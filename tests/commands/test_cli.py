@@ -37,6 +37,12 @@ def test_run_writes_everything(command, tmp_path):
     assert Path("out/energy.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_command_line_starts_without_the_engine_and_pinocchio():
+    code = "import sys, contactvi.commands.cli; print({'pinocchio', 'coal', 'matplotlib'} & set(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "set()"
+
+
 def test_plots_are_drawn_when_they_are_asked_for(command, tmp_path):
     """A run does not load what draws them; `plot` draws them beside the run, anew where they are there."""
     code = (
