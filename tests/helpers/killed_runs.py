@@ -133,7 +133,7 @@ def small_disk(folder: Path) -> Iterator[bool]:
 
 def save_one(folder: Path) -> None:
     """Save the shorter run undisturbed."""
-    _ball(DURATIONS[0]).save(folder / "trajectory.npz")
+    _ball(DURATIONS[0]).save(folder / "trajectory.npz", overwrite=True)
 
 
 def _ball(duration: float) -> cvi.Trajectory:
@@ -144,7 +144,7 @@ def _save_forever(folder: Path) -> None:
     runs = [_ball(duration) for duration in DURATIONS]
     print("ready", flush=True)
     for traj in itertools.cycle(runs):
-        traj.save(folder / "trajectory.npz")
+        traj.save(folder / "trajectory.npz", overwrite=True)
 
 
 def _write_small(folder: Path, limit: int) -> None:
@@ -152,7 +152,7 @@ def _write_small(folder: Path, limit: int) -> None:
     from contactvi.trajectory.plots import save_plot
 
     traj = cvi.simulate(run_scenes.ball_scene(0.8), duration=400.0, dt=1e-2)
-    save_plot(traj, folder.parent / "warm_up.png")  # fonts are cached
+    save_plot(traj, folder.parent / "warm_up.png", overwrite=True)  # fonts are cached
     if limit:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     told = {}
