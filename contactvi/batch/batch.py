@@ -17,7 +17,7 @@ from contactvi.batch.blocks import Block, joined
 from contactvi.batch.executors import blocks_by
 from contactvi.batch.plan import Plan, Report, plan_from, plan_of
 from contactvi.batch.results import BatchResult
-from contactvi.batch.resume import Resumed
+from contactvi.batch.resume import Made, Resumed
 from contactvi.batch.runs import blocks_of
 from contactvi.batch.storage import StoredBatch, save_batch
 from contactvi.errors import DenseStepWarning, InputError
@@ -187,12 +187,7 @@ def simulate_batch(
     with ExitStack() as stack:
         report = _report(plan.runs, progress, stack)
         dense: list[int] = []
-
-        def made(part: Plan, first: int) -> Iterator[Block]:
-            told = report if report is None or not first else lambda count: report(first + count)
-            blocks = blocks_of(part, number, told) if executor is None else blocks_by(executor, part, number, told)
-            return _watched(blocks, part, dense)
-
+        made = _maker(executor, number, report, dense)
         result: BatchResult | StoredBatch
         if path is None:
             result = BatchResult(plan.keep, joined(list(made(plan, 0))))
@@ -211,6 +206,17 @@ def simulate_batch(
             stacklevel=2,
         )
     return result
+
+
+def _maker(executor: Executor | None, number: int, report: Report | None, dense: list[int]) -> Made:
+    """Return what makes the runs of a plan, or of a part of it that starts with a given run."""
+
+    def made(part: Plan, first: int) -> Iterator[Block]:
+        told = report if report is None or not first else lambda count: report(first + count)
+        blocks = blocks_of(part, number, told) if executor is None else blocks_by(executor, part, number, told)
+        return _watched(blocks, part, dense)
+
+    return made
 
 
 def _watched(blocks: Iterator[Block], plan: Plan, dense: list[int]) -> Iterator[Block]:

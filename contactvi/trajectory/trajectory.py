@@ -76,7 +76,8 @@ class Trajectory(Exports):
         adaptive_steps: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths
             [s]; else None.
         error_estimate: with dt="auto", the measured error of q over the run [m, rad]
-            (contactvi.simulation.auto_search); else NaN.
+            (contactvi.simulation.auto_search); NaN where nothing was asked, with a number as dt, and of a run that was
+            interrupted or ended where it started.
         separation: with start="separate", what was moved of the start that was given (contactvi.Separation); else None,
             and in runs that are read from files.
 
