@@ -224,7 +224,7 @@ def run(
         except SimulationError as error:
             traj = error.trajectory
         written = write_files(traj, folder, title, fps if html else None, plot, phases)
-        print_summary(traj, written, phases, folder, plot)
+        print_summary(traj, written, phases, None if plot else folder)
     if traj.status.ok:
         ctrl_c.check()
     if not traj.status.ok:

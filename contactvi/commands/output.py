@@ -87,14 +87,18 @@ def run_title(file: Path) -> str:
     return parent if file.stem == "trajectory" and parent else file.stem
 
 
-def print_summary(traj: Trajectory, written: list[Path], phases: Phases, folder: Path, plotted: bool) -> None:
-    """Print what a run did, the files, the times of the parts of the command, and what a user has to be warned of."""
+def print_summary(traj: Trajectory, written: list[Path], phases: Phases, folder: Path | None = None) -> None:
+    """Print what a run did, the files, the times of the parts of the command, and what a user has to be warned of.
+
+    Args:
+        folder: of the run, where its plots are not drawn yet.
+    """
     from contactvi.commands.summary import summary
 
     lines = summary(traj)
     for k, path in enumerate(written):
         lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
-    if not plotted:
+    if folder is not None:
         lines.append(("plots", f"contactvi plot {shlex.quote(str(folder))}"))
     lines.append(("took", str(phases)))
     print_table(out, name_table(lines))

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from contactvi.options import Options, merged
-from contactvi.trajectory.compiled import moving_scene
+from contactvi.trajectory.compiled import checked_scene
 
 if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
@@ -20,7 +20,7 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
         forced: whether it has inputs that are given by steps. These decide about a dt that is given nowhere
             (options.merged).
     """
-    moving_scene(scene)
+    checked_scene(scene)
     file, here = _plain(scene.settings), _plain(chosen)
     if file is None or here is None or "tol" in scene.settings or chosen.get("tol") is not None:  # may warn each time
         return Options.from_dict(merged(scene.settings, chosen, forced))
