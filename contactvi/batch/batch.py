@@ -30,7 +30,7 @@ from contactvi.simulation.simulation import check_no_steps
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.targets import by_steps
 from contactvi.threads import Workers, cores
-from contactvi.trajectory.compiled import moving_scene
+from contactvi.trajectory.compiled import filled_scene
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -171,7 +171,7 @@ def simulate_batch(
         plan = plan_from(scene, dict(options), kept, inputs, starts)
         settings = plan.options
     else:
-        settings = settings_of(moving_scene(scene), dict(options), forced=control is not None or by_steps(target))
+        settings = settings_of(filled_scene(scene), dict(options), forced=control is not None or by_steps(target))
         _ = settings.span
         if settings.auto:
             check_no_steps(control, target)

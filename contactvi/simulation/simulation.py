@@ -31,7 +31,7 @@ from contactvi.simulation.settings import settings_of
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.targets import by_steps
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import CompiledScene, compile_scene, moving_scene
+from contactvi.trajectory.compiled import CompiledScene, compile_scene, filled_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 # Of the largest free speed: what repaired answers in confined heaps leave is less.
@@ -116,7 +116,7 @@ def simulate(
         "solver_tol": solver_tol, "sample_dt": sample_dt, "ledger": ledger,
     }  # fmt: skip
     throw = flag("throw", throw)
-    moving_scene(scene)
+    filled_scene(scene)
     settings = settings_of(scene, chosen, forced=control is not None or by_steps(target))
     if settings.last_steps is not None:
         raise InputError(

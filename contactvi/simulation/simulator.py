@@ -28,7 +28,7 @@ from contactvi.simulation.run import Run
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.snapshot import Snapshot
 from contactvi.status import Status
-from contactvi.trajectory.compiled import CompiledScene, compile_scene, moving_scene
+from contactvi.trajectory.compiled import CompiledScene, compile_scene, filled_scene
 from contactvi.trajectory.coupled_reactions import with_coupled
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -63,10 +63,10 @@ class Simulator(PresentDynamics):
 
     @with_keywords(SteppingOptions)
     def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
-        if dt is None and moving_scene(scene).settings.get("dt") is None:
+        if dt is None and filled_scene(scene).settings.get("dt") is None:
             settings = Options.from_dict({**scene.settings, **options})  # raises: there is no time step
         else:
-            settings = settings_of(moving_scene(scene), dict(options, dt=dt))
+            settings = settings_of(filled_scene(scene), dict(options, dt=dt))
         settings.require_fixed()
         self.options = settings
         self._scene = compile_scene(scene)

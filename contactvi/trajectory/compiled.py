@@ -325,21 +325,15 @@ def checked_scene(scene: Any) -> Scene:
     return scene
 
 
-def moving_scene(scene: Any) -> Scene:
-    """Return a scene that has something to simulate; raise InputError for an empty one and one that is all fixed."""
+def filled_scene(scene: Any) -> Scene:
+    """Return a scene with something in it; raise InputError for an empty one, whose run would tell nothing."""
     checked = checked_scene(scene)
-    if checked.nv:
+    if checked.parts or checked.nv:
         return checked
-    if not checked.parts:
-        raise InputError(
-            "The scene is empty", name="scene", expected="at least one body that moves", got="no parts",
-            remedy='Add some: scene.add_sphere("ball", radius=0.1, placement=(0, 0, 1)), scene.add_urdf(path), ...;'
-            " scene.add_halfspace() is the ground",
-        )  # fmt: skip
     raise InputError(
-        "Nothing in the scene moves", name="scene", expected="at least one joint or free body",
-        got=", ".join(part.name for part in checked.parts[:4]) + (", ..." if len(checked.parts) > 4 else ""),
-        remedy='Add what moves; a URDF moves away with base="free", a shape with free=True',
+        "The scene is empty", name="scene", expected="at least one body", got="no parts",
+        remedy='Add some: scene.add_sphere("ball", radius=0.1, placement=(0, 0, 1)), scene.add_urdf(path), ...;'
+        " scene.add_halfspace() is the ground",
     )  # fmt: skip
 
 

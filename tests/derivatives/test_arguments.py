@@ -132,9 +132,10 @@ def test_the_seed_of_a_comparison(scene, wrong):
 def test_nothing_that_moves_has_no_derivatives():
     scene = cvi.Scene()
     scene.add_halfspace()
-    with pytest.raises(cvi.InputError, match="Nothing in the scene moves"):
-        cvi.simulate(scene, duration=0.01, dt=1e-3, record="gradient")
-    with pytest.raises(cvi.InputError, match="Nothing in the scene moves"):
+    traj = cvi.simulate(scene, duration=0.01, dt=1e-3, record="gradient")
+    with pytest.raises(cvi.InputError, match="a scene in which something moves"):
+        traj.sensitivity()
+    with pytest.raises(cvi.InputError, match="a scene in which something moves"):
         cvi.check_gradient(scene, duration=0.01, dt=1e-3)
     A, B = cvi.linearize(scene, scene.neutral())
     assert A.shape == B.shape == (0, 0)
