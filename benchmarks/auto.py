@@ -85,7 +85,7 @@ def fixed(case: Case, tols: list[float], repeats: int) -> dict[float, tuple[Seco
     for order, parts in PARTS.items():
         for part in parts:
             for tol in STAGE_TOLS:
-                setting = {"order": order, "dt": 0.1 / part, "tol": tol, "impact": "ctec"}
+                setting = {"order": order, "dt": 0.1 / part, "solver_tol": tol, "impact": "ctec"}
                 try:
                     traj, error = case.run(setting)
                 except cvi.ContactviError:

@@ -84,8 +84,8 @@ def distance(one: cvi.Trajectory, other: cvi.Trajectory, duration: float) -> flo
 def fixed(duration: float, contact: float) -> dict[str, Any]:
     """Return the options of a reference with contact steps of at most so many seconds."""
     dt = duration / np.ceil(duration / LONGEST)
-    return {"dt": dt, "order": 16, "tol": 1e-13, "dt_contact": dt / np.ceil(dt / contact), "contact_mode": "events",
-            "record_contacts": False}  # fmt: skip
+    return {"dt": dt, "order": 16, "solver_tol": 1e-13, "dt_contact": dt / np.ceil(dt / contact),
+            "contact_mode": "events", "record_contacts": False}  # fmt: skip
 
 
 class Compared(NamedTuple):

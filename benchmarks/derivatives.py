@@ -129,7 +129,7 @@ class Case:
 
         def slope(s: float) -> Array:
             q = pin.integrate(self.scene.model, self.q, s * self.w["q0"])
-            traj = self.run(q, self.v + s * self.w["v0"], record="gradient", tol=1e-14)
+            traj = self.run(q, self.v + s * self.w["v0"], record="gradient", solver_tol=1e-14)
             return cvi.gradient(traj, self.terminal, "v0")[1]["v0"]
 
         pairs = []
@@ -169,7 +169,7 @@ class Case:
 
     def fourth(self, step: float) -> Array:
         unit = step * np.eye(2 * self.scene.nv)
-        return np.stack([sum(w / step * self.moved(k * d, tol=1e-14) for k, w in FOURTH) for d in unit], axis=1)
+        return np.stack([sum(w / step * self.moved(k * d, solver_tol=1e-14) for k, w in FOURTH) for d in unit], axis=1)
 
     def best_fourth(self) -> tuple[Array, float]:
         """Of the steps those whose halving changes least; and this change, relative."""
@@ -378,7 +378,7 @@ def main() -> None:
         Case(f"order {order}, dt {dt:g}", scene, q, v, duration=1.0, dt=dt, order=order, ledger=None)
         for order, dt in HAND
     ]
-    flow = Case("flow", scene, q, v, duration=1.0, dt=HAND[0][1] / 4, order=16, tol=1e-15)
+    flow = Case("flow", scene, q, v, duration=1.0, dt=HAND[0][1] / 4, order=16, solver_tol=1e-15)
     print_table("Allegro hand, 1 s", [row for case in hands for row in run_rows(case, rounds, flow)])
     print_table("Allegro hand, one step", linear_rows(hands, rounds))
     print_table(f"Allegro hand in MuJoCo, one step of {HAND[1][1]:g} s", mujoco_rows(scene, q, v, HAND[1][1], rounds))

@@ -149,7 +149,8 @@ def measure(family: str, seed: int, limit: float = 60.0) -> Row:
     try:
         fine = run(motion, limit, dt="auto", tol=max(FINER * tol, LEAST))[0]
         dt = motion.duration / np.ceil(motion.duration / FIXED)
-        steps: dict[str, Any] = {"dt": dt, "order": 12, "tol": 1e-13, "dt_contact": dt / CONTACT_PART, "dense": True}
+        steps: dict[str, Any] = {"dt": dt, "order": 12, "solver_tol": 1e-13, "dense": True}
+        steps["dt_contact"] = dt / CONTACT_PART
         fixed = run(motion, limit, motion.steady, **steps)[0]
         gap = distance(motion, fine, fixed, times) if fixed.status.ok else nan
         if motion.known is not None:

@@ -210,7 +210,7 @@ def best_fixed(linkage: Linkage, error: Callable[[Array, Array], float], repeat:
     for order, counts in FIXED.items():
         for count in counts:
             for tol in STAGE_TOLS:
-                call = simulation(linkage, {"order": order, "dt": 1.0 / count, "tol": tol})
+                call = simulation(linkage, {"order": order, "dt": 1.0 / count, "solver_tol": tol})
                 try:
                     traj = call()
                 except cvi.ContactviError:
@@ -265,7 +265,7 @@ def orders(linkage: Linkage) -> None:
     for order, counts in ((2, (800, 1600, 3200)), (4, (400, 800, 1600)), (8, (100, 200, 400)), (16, (40, 60, 80))):
         errors = []
         for n in counts:
-            options: dict[str, Any] = {"dt": linkage.duration / n, "order": order, "tol": 1e-14}
+            options: dict[str, Any] = {"dt": linkage.duration / n, "order": order, "solver_tol": 1e-14}
             traj = cvi.simulate(linkage.scene, linkage.q, linkage.v, linkage.duration, **options)
             errors.append(linkage.distance(linkage.shown(traj.q[-1:]), shown))
         seen = np.log(np.divide(errors[:-1], errors[1:])) / np.log(np.divide(counts[1:], counts[:-1]))
@@ -281,7 +281,7 @@ def costs(repeat: int) -> None:
             for loops, scene in (("yes", linkage.scene), ("no", cvi.Scene.from_pinocchio(biped.model(flies)))):
                 rows, times = [], []
                 for count, tol in ((n, tol) for n in (24, 32, 48, 64) for tol in (1e-7, 1e-9, 1e-11, 1e-13)):
-                    setting = {"order": order, "dt": linkage.duration / count, "tol": tol, "dense": False}
+                    setting = {"order": order, "dt": linkage.duration / count, "solver_tol": tol, "dense": False}
                     call = simulation(replace(linkage, scene=scene), setting)
                     stats = call().stats
                     if stats.steps == count and not stats.halved:

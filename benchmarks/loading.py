@@ -167,7 +167,7 @@ def save(scene: cvi.Scene, folder: Path) -> float:
         traj = cvi.simulate(scene, duration=0.02, dt=1e-3, throw=False)
     except cvi.ContactviError:
         return float("nan")
-    return seconds(lambda: traj.save(folder / "run.npz"))[0]
+    return seconds(lambda: traj.save(folder / "run.npz", overwrite=True))[0]
 
 
 def compile_by_mujoco(model: Model) -> None:

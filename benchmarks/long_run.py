@@ -43,7 +43,7 @@ Row = dict[str, Any]
 
 def jobs(orders: list[int], maps: list[str]) -> list[Row]:
     own = [
-        {"code": "contactvi", "order": order, "impact": name, "dt": dt, "tol": 1e-12 if order < 8 else 1e-15}
+        {"code": "contactvi", "order": order, "impact": name, "dt": dt, "solver_tol": 1e-12 if order < 8 else 1e-15}
         for order in orders
         for name in maps
         for dt in STEPS[order]
@@ -56,7 +56,7 @@ def run_contactvi(scene: cvi.Scene, job: Row, duration: float) -> tuple[float, n
     ratio = SAMPLE / job["dt"]
     sampled = {"record_every": round(ratio)} if ratio > 0.99 else {"sample_dt": SAMPLE}
     dt = SAMPLE / round(ratio) if ratio > 0.99 else job["dt"]
-    chosen = {name: job[name] for name in ("order", "impact", "tol")}
+    chosen = {name: job[name] for name in ("order", "impact", "solver_tol")}
     began = time.perf_counter()
     traj = cvi.simulate(scene, duration=duration, dt=dt, **chosen, **sampled)
     return time.perf_counter() - began, np.array(traj.energy), {"impacts": len(traj.events)}

@@ -1,8 +1,10 @@
 # The public names and where they live. contactvi/__init__.py reads this file and loads each on first use.
 from . import errors as errors
 from .batch.batch import simulate_batch as simulate_batch
+from .batch.loading import load as load
 from .batch.results import BatchResult as BatchResult
 from .batch.storage import StoredBatch as StoredBatch
+from .batch.storage import join_batches as join_batches
 from .batch.storage import load_batch as load_batch
 from .derivatives.gradient import gradient as gradient
 from .derivatives.gradient_check import GradientCheck as GradientCheck
@@ -19,10 +21,12 @@ from .errors import ApproximateDerivativeWarning as ApproximateDerivativeWarning
 from .errors import ConstraintError as ConstraintError
 from .errors import ContactviError as ContactviError
 from .errors import DenseStepWarning as DenseStepWarning
+from .errors import DeprecatedWarning as DeprecatedWarning
 from .errors import DerivativeError as DerivativeError
 from .errors import EngineError as EngineError
 from .errors import InputError as InputError
 from .errors import NotDifferentiable as NotDifferentiable
+from .errors import OverwriteError as OverwriteError
 from .errors import PenetrationError as PenetrationError
 from .errors import SceneError as SceneError
 from .errors import SeparationError as SeparationError

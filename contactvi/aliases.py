@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import functools
+import inspect
+import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
+
+from contactvi.errors import DeprecatedWarning
 
 Class = TypeVar("Class", bound=type)
 
@@ -34,3 +38,16 @@ def renamed_arguments(**new_names: str) -> Callable[[Class], Class]:
         return cls
 
     return decorate
+
+
+def warn_deprecated(text: str) -> None:
+    """Warn of an old name or meaning, at the line outside of contactvi that led here."""
+    warnings.warn(text, DeprecatedWarning, stacklevel=callers())
+
+
+def callers() -> int:
+    """Return the stack level, for warnings of the caller, of the first function that is not of contactvi."""
+    frame, level = inspect.currentframe(), 0
+    while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "contactvi":
+        frame, level = frame.f_back, level + 1
+    return level

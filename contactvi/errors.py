@@ -90,6 +90,14 @@ class InputError(ContactviError, ValueError):
         super().__init__(what, **texts)
 
 
+class OverwriteError(InputError):
+    """A file that is there already and would be replaced. `path` is the file."""
+
+    def __init__(self, what: str, *, path: object | None = None, **texts: Unpack[_Texts]) -> None:
+        self.path = None if path is None else str(path)
+        super().__init__(what, name="path", **texts)
+
+
 class SceneError(ContactviError):
     """A file or a model that cannot be used. `path`, `joint` and `body` tell where, when known.
 
@@ -321,6 +329,10 @@ class UntestedPairWarning(UserWarning):
     """
 
 
+class DeprecatedWarning(FutureWarning):
+    """An old name, or an old meaning of one, that is understood for this release; the text says the new one."""
+
+
 class TornMeshWarning(UserWarning):
     """The file of a mesh consists of several, which were not told apart: its faces are wrong, its hull is right."""
 
@@ -328,7 +340,8 @@ class TornMeshWarning(UserWarning):
 def nearest(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str | None:
     """Return the choice most like `word`, or None when nothing is near; `cutoff` is difflib's, from 0 to 1."""
     names = [str(choice) for choice in choices]
-    found = difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
+    same = [name for name in names if name.lower() == word.lower()]
+    found = same or difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
     if not found:
         lower = {name.lower(): name for name in names}
         found = [lower[key] for key in difflib.get_close_matches(word.lower(), list(lower), n=1, cutoff=cutoff)]

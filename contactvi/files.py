@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import itertools
 import os
+import pickle
 import socket
 import stat
 import tempfile
@@ -14,7 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
-from contactvi.errors import ContactviError, InputError, SceneError
+from contactvi.errors import ContactviError, InputError, OverwriteError, SceneError
 
 # What NumPy and zipfile raise for an archive that is damaged, truncated or something else altogether: of an unknown
 # compression NotImplementedError, of one with a password RuntimeError.
@@ -24,16 +26,46 @@ UNREADABLE = (
 )  # fmt: skip
 
 
-def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], object]) -> Path:
+def check_free(path: str | os.PathLike[str], overwrite: bool) -> Path:
+    """Return the path of a file that is to be written; to be called before the work that makes what is written.
+
+    Raises:
+        OverwriteError: there is such a file, and it is not to be replaced. InputError: no path.
+    """
+    from contactvi.inputs import flag  # which loads Pinocchio: the command line and readers of files need not
+
+    named = checked_path(path)
+    if not flag("overwrite", overwrite) and named.is_file():
+        raise OverwriteError(
+            f"There is a file {named}", path=named, expected="a name that is free, or overwrite=True",
+            got=f"a file of {named.stat().st_size} bytes",
+            remedy="Give another path, or overwrite=True, which replaces the file",
+        )  # fmt: skip
+    return named
+
+
+def told(error: BaseException) -> str:
+    """Return in one line why a file cannot be read; of NumPy's advice on pickles, which run code, nothing is told."""
+    if isinstance(error, pickle.UnpicklingError) or "pickle" in str(error):
+        return "a file of another kind, or with Python objects in it"
+    return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}"
+
+
+def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], object], overwrite: bool = True) -> Path:
     """Let `write` fill a temporary file in the folder of `path` and put it in place when it is complete.
 
     A reader sees the old file or the new one, never a part. A link is followed; only a regular file is replaced.
     Temporary files that processes which are no more have left for this name are removed.
 
+    Args:
+        overwrite: whether a file of this name is replaced. One that comes into being while this one is written is not
+            replaced either: this one is then kept under a name beside it, which the error tells.
+
     Raises:
-        InputError: no path, a device or another special file, or a folder that is missing or cannot be written.
+        OverwriteError: there is such a file. InputError: no path, a device or another special file, or a folder that is
+            missing or cannot be written.
     """
-    named = checked_path(path)
+    named = check_free(path, overwrite)
     target = Path(os.path.realpath(named))
     try:
         kind = target.stat().st_mode if target.exists() else stat.S_IFREG
@@ -66,7 +98,10 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
             file.flush()
             os.fsync(file.fileno())
         os.chmod(name, 0o666 & ~_umask())  # mkstemp makes private files, results are ordinary ones
-        os.replace(name, target)
+        if overwrite or not target.exists():
+            os.replace(name, target)
+        else:
+            raise _written_meanwhile(named, name, target)
     except BaseException as error:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(name)
@@ -80,6 +115,17 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
             ) from error
         raise
     return named
+
+
+def _written_meanwhile(named: Path, part: str, target: Path) -> OverwriteError:
+    """Keep a part that is complete under a name of its own; return the error that tells it."""
+    names = (target.with_name(f"{target.stem}-{k}{target.suffix}") for k in itertools.count(2))
+    free = next(path for path in names if not path.exists())
+    os.replace(part, free)
+    return OverwriteError(
+        f"{named} was written by another process meanwhile", path=named, expected="a name that stays free",
+        got="a file of this name", remedy=f"What was to be written is kept in {named.with_name(free.name)}",
+    )  # fmt: skip
 
 
 def checked_path(path: object, name: str = "path") -> Path:

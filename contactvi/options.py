@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, TypedDict, get_args
 
-from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import check_choice, count, flag, mapping, positive
+from contactvi.aliases import warn_deprecated
+from contactvi.errors import InputError
+from contactvi.inputs import check_choice, count, flag, mapping, positive, short
+from contactvi.keywords import meant
 from contactvi.run_settings import (
     AUTO,
     CONTACT_DT,
@@ -39,7 +41,7 @@ DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
 STAGE_TOLS = (1e-15, 3e-11)  # with "auto": the first is what rounding allows
 _FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # they need steps of one length
-_OF_THE_KIND = ("tol", "record_every")  # options with another meaning, or none, for the other kind of dt
+_OF_THE_KIND = ("tol", "solver_tol", "record_every")  # options that only one kind of dt has
 _UNSET: Any = None  # the default depends on other options; resolved in __post_init__
 
 
@@ -68,6 +70,7 @@ class SteppingOptions(FurtherOptions, total=False):
     impact: ImpactMap | None
     order: int | None
     tol: float | None
+    solver_tol: float | None
     ledger: Mapping[str, float] | None
     sample_dt: float | None
 
@@ -91,10 +94,11 @@ class Options:
             the run less the losses of all impacts since (no drift; without damping and inputs only).
         order: order 2s of the variational integrator with s Gauss stages, an even number from 2 (midpoint rule) to 16;
             by default 2 for a number as dt and 16 for "auto".
-        tol: it means two things. For a number as dt, how well the equations of a step are solved: relative, in the
-            energy norm, by default 1e-12; the error of q follows from dt and the order. For "auto", the accuracy asked
-            of q: the largest norm of the tangent difference to the true motion over the run [m, rad], by default 1e-6;
-            the equations are then solved to `stage_tol`.
+        tol: the accuracy asked of q, with dt="auto": the largest norm of the tangent difference to the true motion over
+            the run [m, rad], by default 1e-6. With a number as dt nothing is asked of q, and tol is None: its error
+            follows from dt and the order. There tol is taken as solver_tol for this release, with a DeprecatedWarning.
+        solver_tol: how well the equations of a step are solved with a number as dt: relative, in the energy norm, by
+            default 1e-12. With "auto" it follows from tol (`stage_tol`) and is not given.
         record_every: every how many steps the state is kept; the first and the last one always are. 1 with "auto".
         max_impacts_per_step: a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
         ledger: tolerances on the ledger of the run, name -> bound >= 0 (see contactvi.trajectory.ledger for what is
@@ -146,6 +150,7 @@ class Options:
     mhc_reference: MhcReference = "local"
     order: int = _UNSET
     tol: float = _UNSET
+    solver_tol: float = _UNSET
     record_every: int = 1
     max_impacts_per_step: int = 100_000
     max_iterations: int = 50
@@ -164,17 +169,7 @@ class Options:
     def __post_init__(self) -> None:
         if not self.auto:
             _set(self, "dt", positive("dt", self.dt, "the time step in seconds, > 0, for example 1e-3, or 'auto'"))
-        tol = (AUTO_TOL if self.auto else STEP_TOL) if self.tol is None else self.tol
-        _set(
-            self,
-            "tol",
-            positive("tol", tol, f"a number between 0 and 1, for example {'1e-6' if self.auto else '1e-12'}"),
-        )
-        if self.tol >= 1.0:
-            raise InputError(
-                "tol is too large", name="tol", expected="a number below 1", got=self.tol,
-                remedy="Use tol=1e-6 with dt='auto', or leave tol out",
-            )  # fmt: skip
+        _set_tolerances(self)
         _set(self, "dt_contact", contact_step(self.dt_contact, self.dt))
         _set(self, "record_contacts", flag("record_contacts", self.record_contacts))
         for name in ("record_every", "max_impacts_per_step", "max_iterations", "contact_points"):
@@ -263,7 +258,7 @@ class Options:
     @property
     def stage_tol(self) -> float:
         """Tolerance to which the equations of a step are solved, relative, in the energy norm."""
-        return min(max(1e-5 * self.tol, STAGE_TOLS[0]), STAGE_TOLS[1]) if self.auto else self.tol
+        return min(max(1e-5 * self.tol, STAGE_TOLS[0]), STAGE_TOLS[1]) if self.auto else self.solver_tol
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as a plain dictionary; `from_dict` reads it back."""
@@ -288,6 +283,14 @@ class Options:
             )
         return cls(**settings)
 
+    @classmethod
+    def from_stored(cls, settings: Mapping[str, Any]) -> Options:
+        """Return the options of a file: with a number as dt, older ones call solver_tol tol."""
+        settings = dict(mapping("settings", settings, "option: value"))
+        if "solver_tol" not in settings and not _is(settings.get("dt"), AUTO):
+            settings["solver_tol"] = settings.pop("tol", None)
+        return cls.from_dict(settings)
+
 
 MOST_SAMPLES = 1e8  # states of a run that are kept: of a body they take 20 GB
 
@@ -306,6 +309,7 @@ def _check_samples(duration: float | None, sample_dt: float) -> None:
 
 
 _NAMES = tuple(entry.name for entry in fields(Options))
+FurtherOptions.described = SteppingOptions.described = Options  # type: ignore[attr-defined]
 
 
 def option_names() -> tuple[str, ...]:
@@ -322,7 +326,7 @@ def check_names(settings: Mapping[str, Any]) -> None:
                 name=str(name),
                 expected="an option of the run",
                 got=repr(name),
-                remedy=did_you_mean(str(name), _NAMES),
+                remedy=meant(str(name), _NAMES),
             )
 
 
@@ -330,14 +334,20 @@ def merged(file: Mapping[str, Any], chosen: Mapping[str, Any], forced: bool = Fa
     """Return the settings of a run: those chosen (not None), else those of the scene's file.
 
     Where neither has a dt it is "auto" if the run allows it (not with `forced`, inputs), else DEFAULT_DT. Where the
-    chosen dt is a number and the file's is not, or the reverse, the file's tol and record_every do not count: they
-    were given for another kind of step.
+    run has a number as dt and the file has not, or the reverse, the file's tol, solver_tol and record_every do not
+    count: they were given for another kind of step.
     """
     check_names(chosen)
     given = {name: value for name, value in chosen.items() if value is not None}
-    if file and given.get("dt") is not None and _is(given["dt"], AUTO) != _is(_with_dt(file)["dt"], AUTO):
+    auto = _is(_with_dt({**file, **given}, forced)["dt"], AUTO)
+    if file and (forced or "dt" in given) and auto != is_auto(file):
         file = {name: value for name, value in file.items() if name not in _OF_THE_KIND}
     return _with_dt({**file, **given}, forced)
+
+
+def is_auto(settings: Mapping[str, Any]) -> bool:
+    """Return whether a run with these settings alone chooses its steps."""
+    return _is(_with_dt(settings)["dt"], AUTO)
 
 
 def _with_dt(settings: Mapping[str, Any], forced: bool = False) -> dict[str, Any]:
@@ -357,6 +367,51 @@ def _is(value: Any, wanted: int | str) -> bool:
 
 def _set(options: Options, name: str, value: Any) -> None:
     object.__setattr__(options, name, value)
+
+
+def _set_tolerances(options: Options) -> None:
+    """Set the accuracy of q and the tolerance of the solver: the one with "auto", the other with a number as dt."""
+    if options.auto and options.solver_tol is not None:
+        raise InputError(
+            "With dt='auto' the equations of a step are solved as tol needs it", name="solver_tol",
+            expected="none with dt='auto'", got=short(options.solver_tol),
+            remedy="Leave solver_tol out and give tol=..., the accuracy of q, or give dt=..., for example dt=1e-3",
+        )  # fmt: skip
+    if not options.auto and options.tol is not None:
+        _take_as_solver_tol(options)
+    if options.auto:
+        _set(options, "tol", _tolerance("tol", AUTO_TOL if options.tol is None else options.tol, 1e-6))
+    else:
+        chosen = STEP_TOL if options.solver_tol is None else options.solver_tol
+        _set(options, "solver_tol", _tolerance("solver_tol", chosen, 1e-12))
+
+
+def _take_as_solver_tol(options: Options) -> None:
+    """Take a tol that stands beside a number as dt as solver_tol, which it was called, and warn."""
+    if options.solver_tol is not None:
+        raise InputError(
+            "tol is the accuracy of q, which steps of a given length do not choose", name="tol",
+            expected="solver_tol alone with a number as dt", got=f"tol={short(options.tol)} too",
+            remedy="Leave tol out, or give dt='auto' without solver_tol",
+        )  # fmt: skip
+    warn_deprecated(
+        f"tol is the accuracy of q, which steps of a given length (dt={options.dt:g}) do not choose. Here it is taken"
+        f" as what it was called so far: give solver_tol={short(options.tol)}, the tolerance to which the equations of"
+        " a step are solved; or dt='auto' with tol=..., for an accuracy of q"
+    )
+    _set(options, "solver_tol", options.tol)
+    _set(options, "tol", None)
+
+
+def _tolerance(name: str, value: Any, example: float) -> float:
+    """Return a tolerance in (0, 1)."""
+    tol = positive(name, value, f"a number between 0 and 1, for example {example:g}")
+    if tol < 1.0:
+        return tol
+    raise InputError(
+        f"{name} is too large", name=name, expected="a number below 1", got=tol,
+        remedy=f"Use {name}={example:g}, or leave it out",
+    )  # fmt: skip
 
 
 def _check_gradient(options: Options) -> None:

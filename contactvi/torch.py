@@ -57,7 +57,7 @@ def rollout(
             (B, width).
         workers: number of threads; None for one per core. Results do not depend on it.
         on_kink: as for contactvi.gradient.
-        **options: order, tol, impact, contact_mode, dt_contact, ... of `Options`.
+        **options: order, solver_tol, impact, contact_mode, dt_contact, ... of `Options`.
 
     Returns:
         q, (steps + 1, nq) or (B, steps + 1, nq), and v, (steps + 1, nv) or (B, steps + 1, nv).

@@ -63,7 +63,7 @@ def draw(traj: cvi.Trajectory, path: Path, at: float, camera: Any) -> bool:
         figure.savefig(path, dpi=80)
         plt.close(figure)
         return False
-    traj.render(path, size=SIZE, at=at, camera=camera)
+    traj.render(path, size=SIZE, at=at, camera=camera, overwrite=True)
     return True
 
 
@@ -100,7 +100,7 @@ class Shown(SphinxDirective):
             folder.mkdir(parents=True, exist_ok=True)
         traj = run_of(source, self.options.get("run", "traj"))
         drawn = draw(traj, here / f"{name}.png", self.options.get("at", float(traj.t[0])), self.options.get("camera"))
-        traj.to_html(pages / f"{name}.html", title=name.replace("_", " "))
+        traj.to_html(pages / f"{name}.html", title=name.replace("_", " "), overwrite=True)
         log.info("%s: %s", source, "drawn" if drawn else "plotted, for want of a browser")
         return f"{MADE}/{name}.png", f"{MADE}/{name}.html", "" if drawn else PLOTTED
 

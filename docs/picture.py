@@ -22,8 +22,17 @@ STILL = 0.45  # [s] time of the picture that stands
 def main() -> None:
     traj = cvi.simulate(cvi.load_scene(ROOT / "models" / "allegro_ball.toml"), duration=SHOWN[1])
     target, (start, end) = ROOT / "docs" / "hand_and_ball", SHOWN
-    traj.render(target.with_suffix(".png"), camera=CAMERA, size=SIZE, at=STILL, speed=SPEED)
-    traj.render(target.with_suffix(".gif"), camera=CAMERA, size=SIZE, start=start, end=end, speed=SPEED, fps=16.0)
+    traj.render(target.with_suffix(".png"), camera=CAMERA, size=SIZE, at=STILL, speed=SPEED, overwrite=True)
+    traj.render(
+        target.with_suffix(".gif"),
+        camera=CAMERA,
+        size=SIZE,
+        start=start,
+        end=end,
+        speed=SPEED,
+        overwrite=True,
+        fps=16.0,
+    )
 
 
 if __name__ == "__main__":

@@ -27,7 +27,9 @@ def main() -> None:
     strip = Image.new("RGB", (WIDTH * len(TIMES), SIZE[1]))
     with tempfile.TemporaryDirectory() as folder:
         for k, t in enumerate(TIMES):
-            picture = Image.open(traj.render(Path(folder) / "throw.png", camera=CAMERA, size=SIZE, at=t))
+            picture = Image.open(
+                traj.render(Path(folder) / "throw.png", camera=CAMERA, size=SIZE, at=t, overwrite=True)
+            )
             strip.paste(picture.convert("RGB").crop((LEFT, 0, LEFT + WIDTH, SIZE[1])), (WIDTH * k, 0))
     strip.quantize(128).save(ROOT / "docs" / "hand_throw.png", optimize=True)
 

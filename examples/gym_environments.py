@@ -75,6 +75,6 @@ if arguments.page:
     episode(env, tilt, seed=7)
     scene = env.unwrapped
     assert isinstance(scene, contactvi.gym.SceneEnv)
-    print("episode:", scene.simulator.trajectory().to_html(arguments.page))
+    print("episode:", scene.simulator.trajectory().to_html(arguments.page, overwrite=True))
 assert means[HAND, "tilt"][0] > means[HAND, "hold"][0] > means[HAND, "random"][0]
 assert means[QUADRUPED, "hold"][0] > means[QUADRUPED, "random"][0]

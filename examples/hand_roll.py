@@ -39,7 +39,7 @@ def main() -> None:
     assert speed < 5e-3
     assert np.linalg.norm(traj.q[-1, 19:22] - wanted[19:22]) < 5e-3  # and stays, for 0.4 s more
     if len(sys.argv) > 1:
-        traj.to_html(sys.argv[1])
+        traj.to_html(sys.argv[1], overwrite=True)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def throw() -> cvi.Trajectory:
 def main() -> None:
     traj = throw()
     if len(sys.argv) > 1:
-        traj.to_html(sys.argv[1])
+        traj.to_html(sys.argv[1], overwrite=True)
 
 
 if __name__ == "__main__":

@@ -62,6 +62,6 @@ print(f"strings' work {traj.work.prescribed[-1]:.4f} J, dampers' {traj.work.damp
 order = np.log2(balance[0] / balance[1])
 print(f"energy balance off by {balance[1]:.1e} J, order {order:.2f}")
 if len(sys.argv) > 1:
-    traj.to_html(sys.argv[1], title="puppet on strings")
+    traj.to_html(sys.argv[1], overwrite=True, title="puppet on strings")
 if off > 1e-10 or min(force.min() for force in pull.values()) <= 0.0 or abs(order - 2) > 0.3:
     raise SystemExit("a string is slack, or not as long as it should be")

@@ -95,6 +95,6 @@ w = 1e-5 * np.cos(np.arange(4 * COUNT))
 exact, near = gradient(0.5 * found.x) @ w, (cost(0.5 * found.x + w) - cost(0.5 * found.x - w)) / 2
 print(f"gradient half way {1e5 * exact:.7f}, by differences {1e5 * near:.7f}")
 if len(sys.argv) > 1:
-    pulled(found.x).to_html(sys.argv[1], title="puppet on winches")
+    pulled(found.x).to_html(sys.argv[1], overwrite=True, title="puppet on winches")
 assert costs[-1] < 1.001 * cost(KNOWN) < 1e-4 * cost(rest)
 assert abs(exact - near) < 1e-5 * abs(exact)

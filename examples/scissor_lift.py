@@ -55,6 +55,6 @@ print(
 )
 print(f"force at rest {force:.9f} N, by virtual work {hold:.9f} N")
 if len(sys.argv) > 1:
-    traj.to_html(sys.argv[1], title="scissor lift")
+    traj.to_html(sys.argv[1], overwrite=True, title="scissor lift")
 if loop > 1e-10 or np.abs(height - exact).max() > 1e-8 or abs(order - 2) > 0.1 or abs(force - hold) > 1e-9 * abs(hold):
     raise SystemExit("the lift does not keep its laws")

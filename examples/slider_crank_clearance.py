@@ -42,6 +42,6 @@ coarse, fine = runs
 difference = np.abs(coarse.q - fine.q[::4]).max()
 print(f"h against h/4: angles differ by {difference:.1e} rad after {coarse.q[-1, 0] / (2 * np.pi):.2f} turns")
 if len(sys.argv) > 1:
-    coarse.to_html(sys.argv[1], title="slider-crank with clearance")
+    coarse.to_html(sys.argv[1], overwrite=True, title="slider-crank with clearance")
 if max(gains) > 0.0 or first > 1e-7 or difference > 1e-4 or balance[1] > balance[0] / 12:
     raise SystemExit("an impact gains energy, loses some unaccounted for, or the two runs part")

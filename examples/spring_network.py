@@ -74,6 +74,6 @@ order = np.log2(balance[0] / balance[1])
 print(f"with dampers the energy falls from {traj.energy[0]:.4f} to {traj.energy[-1]:.4f} J, they take", end=" ")
 print(f"{traj.work.damping[-1]:.4f} J; balance off by {balance[1]:.1e} J, order {order:.2f}")
 if len(sys.argv) > 1:
-    traj.to_html(sys.argv[1], title="a net of springs")
+    traj.to_html(sys.argv[1], overwrite=True, title="a net of springs")
 if worst > 1e-4 or abs(order - 2) > 0.2:
     raise SystemExit("the net has other frequencies, or loses another energy than its dampers take")

@@ -36,7 +36,9 @@ coarse, fine = np.array(measure(1e-2)), np.array(measure(5e-3))
 order = np.log2(coarse[1:] / fine[1:])
 print(f"orders: angle {order[0]:.3f}, tension {order[1]:.3f}, work {order[2]:.3f} (expected 2)")
 if len(sys.argv) > 1:
-    cvi.simulate(scene, v0=v0, duration=2.0, dt=5e-3).to_html(sys.argv[1], title="a winch pulls a string in")
+    cvi.simulate(scene, v0=v0, duration=2.0, dt=5e-3).to_html(
+        sys.argv[1], overwrite=True, title="a winch pulls a string in"
+    )
 if fine[0] > 1e-10 or np.any(np.abs(order - 2) > 0.1):
     raise SystemExit(
         "the string has not the length that the winch prescribes, or the ball does not follow the closed form"

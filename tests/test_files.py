@@ -13,6 +13,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.files import write_atomic
+from contactvi.trajectory import plots
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +27,65 @@ def traj() -> cvi.Trajectory:
 def test_a_link_is_followed(tmp_path: Path, traj: cvi.Trajectory):
     (tmp_path / "real.npz").write_bytes(b"old")
     (tmp_path / "link.npz").symlink_to("real.npz")
-    assert traj.save(tmp_path / "link.npz") == tmp_path / "link.npz"
+    assert traj.save(tmp_path / "link.npz", overwrite=True) == tmp_path / "link.npz"
     assert (tmp_path / "link.npz").is_symlink()
     assert len(cvi.Trajectory.load(tmp_path / "real.npz").t) == len(traj.t)
+
+
+WRITERS = {
+    "save": "run.npz",
+    "to_html": "run.html",
+    "render": "run.png",
+    "to_csv": "states.csv",
+    "save_plot": "energy.png",
+    "save_force_plot": "forces.png",
+    "save_state_plot": "states.png",
+}
+
+
+def written(name: str, traj: cvi.Trajectory, path: Path, **options) -> None:
+    """Let one of the functions that write files of users write this one."""
+    if name.endswith("_plot"):
+        getattr(plots, name)(traj, path, **options)
+    elif name == "to_csv":
+        traj.to_csv(path.parent, ["states"], **options)
+    else:
+        getattr(traj, name)(path, **(options if name != "render" else {"at": 0.1, **options}))
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_file_that_is_there_is_replaced_on_request_only(tmp_path: Path, traj: cvi.Trajectory, name: str):
+    path = tmp_path / WRITERS[name]
+    path.write_bytes(b"precious")
+    with pytest.raises(cvi.OverwriteError, match=r"expected .* got a file of 8 bytes\. .*overwrite=True") as told:
+        written(name, traj, path)
+    assert told.value.path == str(path)
+    assert path.read_bytes() == b"precious"
+    assert list(tmp_path.iterdir()) == [path]
+    if name != "render":  # needs a browser
+        written(name, traj, path, overwrite=True)
+        assert path.read_bytes() != b"precious"
+
+
+def test_a_table_that_is_there_keeps_all_tables_from_being_written(tmp_path: Path, traj: cvi.Trajectory):
+    (tmp_path / "units.csv").write_text("mine")
+    with pytest.raises(cvi.OverwriteError, match="units.csv"):
+        traj.to_csv(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["units.csv"]
+
+
+def test_what_two_processes_write_at_once_is_kept_of_both(tmp_path: Path):
+    path = tmp_path / "a.npz"
+
+    def write(file) -> None:
+        path.write_bytes(b"of the other")
+        file.write(b"mine")
+
+    with pytest.raises(cvi.OverwriteError, match="a-2.npz"):
+        write_atomic(path, write, overwrite=False)
+    assert path.read_bytes() == b"of the other"
+    assert (tmp_path / "a-2.npz").read_bytes() == b"mine"
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.parametrize("write", ["save", "to_html"])

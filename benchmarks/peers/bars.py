@@ -145,8 +145,8 @@ def orders(rows: Rows, own: dict[str, float]) -> list[str]:
         for order, name in kinds:
             kind = {"order": order, "impact": name}
             same = [r for r in mine if r["scene"] == scene and kind.items() <= r["setting"].items()]
-            tight = min((r["setting"]["tol"] for r in same), default=0.0)
-            cells.append(_slope([r for r in same if r["setting"]["tol"] == tight], max(1e-10, 30 * error)))
+            tight = min((r["setting"]["solver_tol"] for r in same), default=0.0)
+            cells.append(_slope([r for r in same if r["setting"]["solver_tol"] == tight], max(1e-10, 30 * error)))
         lines.append(f"| {scene} | " + " | ".join(cells) + " |")
     return lines
 

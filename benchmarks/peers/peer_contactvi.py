@@ -46,7 +46,7 @@ def start(scene: cvi.Scene, job: dict) -> tuple[np.ndarray, np.ndarray, list[int
 
 def options(job: dict, setting: dict) -> dict:
     """Arguments of simulate for this setting."""
-    chosen = {name: value for name, value in setting.items() if name in ("dt", "order", "impact", "tol")}
+    chosen = {name: value for name, value in setting.items() if name in ("dt", "order", "impact", "tol", "solver_tol")}
     every = None if setting["dt"] == "auto" else job["sample"] / setting["dt"]
     if every is not None and every > 0.99 and abs(every - round(every)) < 1e-6:
         # A dt written as a decimal would miss the duration by rounding.

@@ -75,7 +75,7 @@ def _contactvi(scene: str) -> Settings:
             if name == "dtec":
                 tols = [1e-12] if order in DTEC_ORDERS else []
             for tol in tols:
-                found += _over("dt", longer + [0.1 / k for k in parts], impact=name, order=order, tol=tol)
+                found += _over("dt", longer + [0.1 / k for k in parts], impact=name, order=order, solver_tol=tol)
     return found
 
 

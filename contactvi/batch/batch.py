@@ -17,16 +17,20 @@ from contactvi.batch.blocks import Block, joined
 from contactvi.batch.executors import blocks_by
 from contactvi.batch.plan import Plan, Report, plan_from, plan_of
 from contactvi.batch.results import BatchResult
+from contactvi.batch.resume import Made, Resumed
 from contactvi.batch.runs import blocks_of
 from contactvi.batch.storage import StoredBatch, save_batch
 from contactvi.errors import DenseStepWarning, InputError
-from contactvi.inputs import callback, check_choice
-from contactvi.options import Dt, FurtherOptions, ImpactMap
+from contactvi.files import check_free, checked_path
+from contactvi.inputs import callback, check_choice, flag
+from contactvi.keywords import with_keywords
+from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.simulation import check_no_steps
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.targets import by_steps
 from contactvi.threads import Workers, cores
+from contactvi.trajectory.compiled import filled_scene
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -46,8 +50,12 @@ class BatchOptions(FurtherOptions, total=False):
     impact: ImpactMap | None
     order: int | None
     tol: float | None
+    solver_tol: float | None
     sample_dt: float | None
     ledger: Mapping[str, float] | None
+
+
+BatchOptions.described = Options  # type: ignore[attr-defined]
 
 
 @overload
@@ -64,6 +72,8 @@ def simulate_batch(
     executor: Executor | None = ...,
     progress: bool | Callable[[int, int], object] = ...,
     path: None = ...,
+    overwrite: bool = ...,
+    resume: bool = ...,
     **options: Unpack[BatchOptions],
 ) -> BatchResult: ...
 
@@ -82,10 +92,13 @@ def simulate_batch(
     executor: Executor | None = ...,
     progress: bool | Callable[[int, int], object] = ...,
     path: str | os.PathLike[str],
+    overwrite: bool = ...,
+    resume: bool = ...,
     **options: Unpack[BatchOptions],
 ) -> StoredBatch: ...
 
 
+@with_keywords(BatchOptions)
 def simulate_batch(
     scene: Scene | Simulator,
     q0s: ArrayLike | None = None,
@@ -99,6 +112,8 @@ def simulate_batch(
     executor: Executor | None = None,
     progress: bool | Callable[[int, int], object] = False,
     path: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
     **options: Unpack[BatchOptions],
 ) -> BatchResult | StoredBatch:
     """Run a scene from many starts, with many parameters or inputs, in several threads.
@@ -125,18 +140,30 @@ def simulate_batch(
             ProcessPoolExecutor or dask's `Client.get_executor()`; what is sent there has to be picklable. A chunk that
             is lost with its worker is sent again, three times at most.
         path: write the results to this file while runs end, and return a `StoredBatch`, which reads what is asked for.
-            The file is there when all runs have ended; only a regular file is replaced.
+            The file is there when all runs have ended.
+        overwrite: whether a file at `path` is replaced; else it is refused before the first run.
+        resume: keep the runs that are made in the folder PATH.parts until all are, so that the same call goes on after
+            an interruption; where the file is complete it is returned. What the runs depend on is compared: scene,
+            options, starts, parameters and inputs, which have to be arrays.
         progress: True shows a progress bar; or a function called as progress(runs made, runs) now and then.
-        **options: duration, dt, order, ...: as in `simulate`.
+        **options: as of `Options`.
 
     Raises:
         InputError: for arguments whose shapes do not fit, and for bad options. Errors of single runs are in the result.
+        OverwriteError: there is a file at `path`, without `overwrite`.
         ContactviError: the executor lost a chunk of runs again and again.
         KeyboardInterrupt: on Ctrl-C, which ends the runs under way within a tenth of a second.
 
     Warns:
         DenseStepWarning: once, where runs with contact_mode="auto" took dense steps.
     """
+    if flag("resume", resume) and path is None:
+        raise InputError(
+            "Runs are kept in files to be resumed", name="resume", expected="a path with resume=True", got="none",
+            remedy="Give path=..., the file of the batch",
+        )  # fmt: skip
+    if path is not None and not resume:
+        check_free(path, overwrite)
     inputs = {"q0": q0s, "v0": v0s, "control": control, "target": target}
     kept = "ends" if keep is None else _checked(keep)
     if isinstance(scene, Simulator):
@@ -144,7 +171,7 @@ def simulate_batch(
         plan = plan_from(scene, dict(options), kept, inputs, starts)
         settings = plan.options
     else:
-        settings = settings_of(scene, dict(options), forced=control is not None or by_steps(target))
+        settings = settings_of(filled_scene(scene), dict(options), forced=control is not None or by_steps(target))
         _ = settings.span
         if settings.auto:
             check_no_steps(control, target)
@@ -160,10 +187,16 @@ def simulate_batch(
     number = Workers(workers).number if executor is None or workers is not None else 4 * cores()
     with ExitStack() as stack:
         report = _report(plan.runs, progress, stack)
-        made = blocks_of(plan, number, report) if executor is None else blocks_by(executor, plan, number, report)
         dense: list[int] = []
-        blocks = _watched(made, plan, dense)
-        result = BatchResult(plan.keep, joined(list(blocks))) if path is None else save_batch(path, plan, blocks)
+        made = _maker(executor, number, report, dense)
+        result: BatchResult | StoredBatch
+        if path is None:
+            result = BatchResult(plan.keep, joined(list(made(plan, 0))))
+        elif resume:
+            resumed = Resumed(checked_path(path), plan, overwrite)
+            result = resumed.finished or resumed.run(made)
+        else:
+            result = save_batch(path, plan, made(plan, 0), overwrite)
         if report is not None:
             report(plan.runs)
     if sum(dense) and settings.contact_mode == "auto":
@@ -174,6 +207,17 @@ def simulate_batch(
             stacklevel=2,
         )
     return result
+
+
+def _maker(executor: Executor | None, number: int, report: Report | None, dense: list[int]) -> Made:
+    """Return what makes the runs of a plan, or of a part of it that starts with a given run."""
+
+    def made(part: Plan, first: int) -> Iterator[Block]:
+        told = report if report is None or not first else lambda count: report(first + count)
+        blocks = blocks_of(part, number, told) if executor is None else blocks_by(executor, part, number, told)
+        return _watched(blocks, part, dense)
+
+    return made
 
 
 def _watched(blocks: Iterator[Block], plan: Plan, dense: list[int]) -> Iterator[Block]:

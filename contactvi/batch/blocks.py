@@ -119,8 +119,10 @@ def joined(blocks: Sequence[Block]) -> Block:
 
 
 def _padded(columns: dict[str, NDArray[Any]], nodes: int) -> dict[str, NDArray[Any]]:
-    missing = nodes - columns["t"].shape[1]
-    if missing == 0:
-        return columns
-    tail = ((0, 0), (0, missing), (0, 0))
-    return columns | {name: np.pad(columns[name], tail, constant_values=np.nan) for name in PADDED}
+    return columns | {name: padded(columns[name], nodes) for name in PADDED}
+
+
+def padded(states: NDArray[Any], nodes: int) -> NDArray[Any]:
+    """Return states (runs, N, n) of so many nodes, NaN after the first N."""
+    missing = nodes - states.shape[1]
+    return np.pad(states, ((0, 0), (0, missing), (0, 0)), constant_values=np.nan) if missing else states

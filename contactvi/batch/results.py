@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, overload
 
@@ -46,8 +47,8 @@ class BatchStatus(Items[Status]):
         return Status(StatusCode(int(self.codes[i])), self._messages.get(i, REACHED), float(self.times[i]))
 
 
-class BatchResult:
-    """The runs of a batch, in the order of their starts.
+class Batch(ABC):
+    """The runs of a batch, in the order of their starts: what they are in memory and in a file.
 
     Attributes:
         keep: "ends": t (runs,), q (runs, nq) and v (runs, nv) are those of the ends of the runs. "nodes" and "runs": at
@@ -63,25 +64,20 @@ class BatchResult:
         parameters: their values that were given, by name, (runs, ...).
     """
 
-    def __init__(self, keep: str, block: Block) -> None:
-        self.keep, self._block = keep, block
-        columns = block.columns
-        ends = 0 if keep == "ends" else slice(None)
-        self.t: Array = columns["t"][:, ends, 0]
-        self.q: Array = columns["q"][:, ends]
-        self.v: Array = columns["v"][:, ends]
-        self.nodes: NDArray[np.int64] = columns["nodes"]
-        self.impacts: NDArray[np.int64] = columns["impacts"]
-        self.dense_steps: NDArray[np.int64] = columns["dense_steps"]
-        self.seconds: Array = columns["seconds"]
-        self.error_estimate: Array = columns["error_estimate"]
-        self.status = BatchStatus(columns["code"], columns["time"], block.messages)
-        self.errors: dict[int, ContactviError] = dict(sorted(block.errors.items()))
-        self.q0: Array | None = block.given.get("q0")
-        self.v0: Array | None = block.given.get("v0")
-        self.parameters: dict[str, Array] = {
-            name: values for name, values in block.given.items() if name not in ("q0", "v0")
-        }
+    keep: str
+    t: Array
+    q: Array
+    v: Array
+    nodes: NDArray[np.int64]
+    impacts: NDArray[np.int64]
+    dense_steps: NDArray[np.int64]
+    seconds: Array
+    error_estimate: Array
+    status: BatchStatus
+    errors: dict[int, ContactviError]
+    q0: Array | None
+    v0: Array | None
+    parameters: dict[str, Array]
 
     @property
     def ok(self) -> NDArray[np.bool_]:
@@ -115,8 +111,32 @@ class BatchResult:
     def __len__(self) -> int:
         return len(self.nodes)
 
+    def __iter__(self) -> Iterator[Trajectory]:
+        return (self[k] for k in range(len(self)))
+
+    @overload
+    def __getitem__(self, k: int) -> Trajectory: ...
+    @overload
+    def __getitem__(self, k: slice | Sequence[int] | NDArray[Any]) -> BatchResult: ...
+    @abstractmethod
+    def __getitem__(self, k: int | slice | Sequence[int] | NDArray[Any]) -> Trajectory | BatchResult:
+        """Return a run (with keep="runs"), or the result of some of the runs: a slice, indices, truth values.
+
+        Raises:
+            InputError: for one run where runs were not kept. IndexError: there is no such run. The error of the run,
+                where nothing was computed.
+        """
+
+    @property
+    @abstractmethod
+    def block(self) -> Block:
+        """The arrays as they are stored, of all runs."""
+
+    def _where(self) -> str:
+        return ""
+
     def __repr__(self) -> str:
-        return f"<BatchResult: {len(self)} runs, {int(self.ok.sum())} ok, keep={self.keep!r}>"
+        return f"<{type(self).__name__}: {len(self)} runs, {int(self.ok.sum())} ok, keep={self.keep!r}{self._where()}>"
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: how the runs ended, and the first that did not reach their end."""
@@ -130,7 +150,31 @@ class BatchResult:
                 for k in ended[:_SHOWN]]  # fmt: skip
         more = f"and {len(ended) - _SHOWN} more" if len(ended) > _SHOWN else ""
         parts = [html_table("Ended early", ("run", "status", "t [s]", "reason"), rows, more)] if rows else []
-        return html_fields("Batch of runs", fields, parts)
+        return html_fields("Batch of runs" + self._where(), fields, parts)
+
+
+class BatchResult(Batch):
+    """The runs of a batch in memory; see `Batch` for its attributes."""
+
+    def __init__(self, keep: str, block: Block) -> None:
+        self.keep, self._block = keep, block
+        columns = block.columns
+        ends = 0 if keep == "ends" else slice(None)
+        self.t: Array = columns["t"][:, ends, 0]
+        self.q: Array = columns["q"][:, ends]
+        self.v: Array = columns["v"][:, ends]
+        self.nodes: NDArray[np.int64] = columns["nodes"]
+        self.impacts: NDArray[np.int64] = columns["impacts"]
+        self.dense_steps: NDArray[np.int64] = columns["dense_steps"]
+        self.seconds: Array = columns["seconds"]
+        self.error_estimate: Array = columns["error_estimate"]
+        self.status = BatchStatus(columns["code"], columns["time"], block.messages)
+        self.errors: dict[int, ContactviError] = dict(sorted(block.errors.items()))
+        self.q0: Array | None = block.given.get("q0")
+        self.v0: Array | None = block.given.get("v0")
+        self.parameters: dict[str, Array] = {
+            name: values for name, values in block.given.items() if name not in ("q0", "v0")
+        }
 
     def __reduce__(self) -> tuple[Any, ...]:
         return BatchResult, (self.keep, self._block)
@@ -150,22 +194,24 @@ class BatchResult:
             return BatchResult(self.keep, self._block.rows([int(i) for i in np.arange(len(self))[k]]))
         row = range(len(self))[int(k)]
         if self._block.trajectories is None:
-            raise InputError(
-                "The runs of this batch were not kept", name="keep", expected="'runs'", got=repr(self.keep),
-                remedy=f"Give keep='runs' to simulate_batch, or take result.q[{short(k)}]",
-            )  # fmt: skip
+            raise not_kept(self.keep, k)
         traj = self._block.trajectories[row]()
         if traj is None:
             raise self.errors[row]
         return traj
 
-    def __iter__(self) -> Iterator[Trajectory]:
-        return (self[k] for k in range(len(self)))
-
     @property
     def block(self) -> Block:
         """The arrays as they are stored."""
         return self._block
+
+
+def not_kept(keep: str, k: Any) -> InputError:
+    """Return the error of a run that was not kept as a whole."""
+    return InputError(
+        "The runs of this batch were not kept", name="keep", expected="'runs'", got=repr(keep),
+        remedy=f"Give keep='runs' to simulate_batch, or take result.q[{short(k)}]",
+    )  # fmt: skip
 
 
 def _range(counts: NDArray[np.int64]) -> str:

@@ -4,7 +4,8 @@
 entry                 meaning
 ===================== ==================================================================================
 header                JSON text: format, schema, version, keep, runs, options (contactvi.Options); given: names of the
-                      starts ("q0", "v0") and parameters that were given
+                      starts ("q0", "v0") and parameters that were given; fingerprint of the scene; key: hash of all
+                      that the runs depend on (contactvi.batch.resume), None for runs that resume was not asked for
 FIRST/COUNT/NAME      a column of contactvi.batch.blocks of the runs FIRST to FIRST + COUNT - 1
 FIRST/COUNT/given/K   what was given of these runs, with the K-th name of the header
 FIRST/COUNT/texts     JSON text: {"messages": {run: text}, "errors": {run: {type, what, ...}}}, runs from 0
@@ -18,40 +19,54 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactvi import errors
-from contactvi.batch.blocks import COLUMNS, Block, joined
+from contactvi.batch.blocks import COLUMNS, PADDED, Block, joined, padded
 from contactvi.batch.plan import Plan
-from contactvi.batch.results import BatchResult, BatchStatus
+from contactvi.batch.results import Batch, BatchResult, BatchStatus, not_kept
 from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.files import UNREADABLE, as_a_path, checked_path, write_atomic
+from contactvi.files import UNREADABLE, as_a_path, check_free, checked_path, told, write_atomic
 from contactvi.inputs import short
 from contactvi.options import Options
-from contactvi.status import StatusCode
+from contactvi.scene.fingerprint import fingerprint
 from contactvi.version import version
+
+if TYPE_CHECKING:
+    from contactvi.trajectory.trajectory import Trajectory
 
 FORMAT = "contactvi-batch"
 SCHEMA = 1
 
 
-def save_batch(path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block]) -> StoredBatch:
+def save_batch(
+    path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block], overwrite: bool = False, key: str | None = None
+) -> StoredBatch:
     """Write blocks to a file as they come; return the file."""
+
+    header = {
+        "keep": plan.keep, "runs": plan.runs, "options": plan.options.to_dict(), "given": list(plan.given),
+        "fingerprint": fingerprint(plan.scene.to_dict()), "key": key,
+    }  # fmt: skip
+    return write_batch(path, header, blocks, overwrite)
+
+
+def write_batch(
+    path: str | os.PathLike[str], header: Mapping[str, Any], blocks: Iterable[Block], overwrite: bool
+) -> StoredBatch:
+    """Write blocks to a file as they come, below a header without format, schema and version; return the file."""
 
     def write(file: IO[bytes]) -> None:
         with zipfile.ZipFile(file, "w") as archive:
-            header = {
-                "format": FORMAT, "schema": SCHEMA, "version": version(), "keep": plan.keep, "runs": plan.runs,
-                "options": plan.options.to_dict(), "given": list(plan.given),
-            }  # fmt: skip
-            _put(archive, "header", np.array(json.dumps(header)))
+            whole = {"format": FORMAT, "schema": SCHEMA, "version": version(), **header}
+            _put(archive, "header", np.array(json.dumps(whole)))
             first = 0
             for block in blocks:
                 for name in COLUMNS:
@@ -61,7 +76,43 @@ def save_batch(path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block]
                 _put(archive, f"{first}/{len(block)}/texts", np.array(json.dumps(_texts(block))))
                 first += len(block)
 
-    return StoredBatch(write_atomic(path, write))
+    return StoredBatch(write_atomic(path, write, overwrite))
+
+
+def join_batches(
+    batches: Sequence[str | os.PathLike[str] | StoredBatch], path: str | os.PathLike[str], *, overwrite: bool = False
+) -> StoredBatch:
+    """Write the runs of several files, such as the shards of a job array, to one file, in this order; return it.
+
+    Args:
+        batches: files of `simulate_batch(path=)`, or what it returned: of one scene, with the same options, the same
+            `keep`, and the same starts and parameters given.
+        path: of the file to write, block after block, so that memory stays bounded.
+        overwrite: whether a file at `path` is replaced.
+
+    Raises:
+        InputError: there are none, or they do not belong together. OverwriteError: there is a file at `path`.
+        SceneError: one of them cannot be read.
+    """
+    check_free(path, overwrite)
+    if isinstance(batches, (str, os.PathLike)) or not batches:
+        raise InputError(
+            "There is nothing to join", name="batches", expected="a list of files of batches", got=short(batches),
+            remedy="Give a list, for example sorted(Path().glob('shard-*.npz'))",
+        )  # fmt: skip
+    parts = [batch if isinstance(batch, StoredBatch) else load_batch(batch) for batch in batches]
+    first = parts[0].header
+    for part in parts[1:]:
+        unlike = [name for name in ("fingerprint", "keep", "options", "given") if part.header[name] != first[name]]
+        if unlike:
+            raise InputError(
+                f"The batches {parts[0].path} and {part.path} do not belong together", name="batches",
+                expected="one scene, the same options, keep and names of what was given",
+                got="another " + " and ".join("scene" if name == "fingerprint" else name for name in unlike),
+                remedy="Join the shards of one call, or make them again with the same scene and options",
+            )  # fmt: skip
+    header = {**first, "runs": sum(map(len, parts)), "key": None}
+    return write_batch(path, header, (block for part in parts for block in part.blocks()), overwrite)
 
 
 def load_batch(path: str | os.PathLike[str]) -> StoredBatch:
@@ -73,12 +124,14 @@ def load_batch(path: str | os.PathLike[str]) -> StoredBatch:
     return StoredBatch(checked_path(path))
 
 
-class StoredBatch:
-    """The runs of a batch in a file; a slice of it reads these runs, as a `BatchResult`.
+class StoredBatch(Batch):
+    """The runs of a batch in a file: all that a `BatchResult` has, read when it is asked for.
+
+    A slice of it, or some of its runs by their numbers, is a `BatchResult`, for which no other blocks are read.
 
     Attributes:
-        path: of the file. keep: "ends" or "nodes". options: of the runs.
-        given: names of the starts and parameters that were given.
+        path: of the file. options: of the runs. given: names of the starts and parameters that were given.
+        header: what the file says of all runs, without its format: keep, runs, options, given, fingerprint, key.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,10 +146,12 @@ class StoredBatch:
                     _refuse(path, "a file of another format or schema")
                 places = {tuple(map(int, name.split("/")[:2])) for name in archive.namelist() if "/" in name}
                 self.keep, self._runs = str(header["keep"]), int(header["runs"])
-                self.options = Options.from_dict(header["options"])
+                self.options = Options.from_stored(header["options"])
                 self.given = tuple(map(str, header.get("given", ())))
+                names = ("keep", "runs", "options", "given", "fingerprint", "key")
+                self.header: dict[str, Any] = {name: header.get(name) for name in names}
         except (*UNREADABLE, TypeError) as error:
-            _refuse(path, f"{type(error).__name__}: {error}", error)
+            _refuse(path, told(error), error)
         self._places = sorted(places)
         ends = [0, *(first + count for first, count in self._places)]
         if [first for first, _ in self._places] != ends[:-1] or ends[-1] != self._runs:
@@ -105,21 +160,16 @@ class StoredBatch:
     def __len__(self) -> int:
         return self._runs
 
-    def __repr__(self) -> str:
-        return f"<StoredBatch: {len(self)} runs in {self.path}, keep={self.keep!r}>"
+    def _where(self) -> str:
+        return f" in {self.path}"
 
     @cached_property
-    def status(self) -> BatchStatus:
+    def status(self) -> BatchStatus:  # type: ignore[override]
         """How the runs ended, as of a `BatchResult`; their states are not read."""
         return self._ends[0]
 
     @property
-    def ok(self) -> NDArray[np.bool_]:
-        """Whether each run reached its end, (runs,)."""
-        return np.asarray(self.status.codes == StatusCode.SUCCESS)
-
-    @property
-    def errors(self) -> dict[int, ContactviError]:
+    def errors(self) -> dict[int, ContactviError]:  # type: ignore[override]
         """The errors of the runs that have one, by run."""
         return self._ends[1]
 
@@ -127,38 +177,82 @@ class StoredBatch:
     def _ends(self) -> tuple[BatchStatus, dict[int, ContactviError]]:
         messages: dict[int, str] = {}
         found: dict[int, ContactviError] = {}
+        codes, times = self._column("code"), self._column("time")
         with _readable(self.path), zipfile.ZipFile(self.path) as archive:
-            codes, times = (np.concatenate([_take(archive, f"{a}/{n}/{name}") for a, n in self._places])
-                            for name in ("code", "time"))  # fmt: skip
             for first, count in self._places:
                 texts = _read_texts(archive, first, count)
                 messages |= {first + k: text for k, text in texts[0].items()}
                 found |= {first + k: error for k, error in texts[1].items()}
-        if len(codes) != self._runs or len(times) != self._runs:
-            _refuse(self.path, "columns of different lengths")
         return BatchStatus(codes, times, messages), dict(sorted(found.items()))
 
-    def __getitem__(self, k: slice) -> BatchResult:
-        """Return the result of some of the runs.
+    def _column(self, name: str) -> NDArray[Any]:
+        """Read one column of all runs; states end with NaN where others have more nodes."""
+        with _readable(self.path), zipfile.ZipFile(self.path) as archive:
+            parts = [_take(archive, f"{first}/{count}/{name}") for first, count in self._places]
+        if [len(part) for part in parts] != [count for _, count in self._places]:
+            _refuse(self.path, "columns of different lengths")
+        if name in PADDED:
+            nodes = max(part.shape[1] for part in parts)
+            parts = [padded(part, nodes) for part in parts]
+        return np.concatenate(parts)
+
+    def __getattr__(self, name: str) -> Any:
+        """Read an attribute of a `BatchResult` from the file, and keep it."""
+        if name not in (*COLUMNS, "q0", "v0", "parameters") or name in ("code", "time") or "_places" not in vars(self):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        found: Any = None
+        if name in COLUMNS:
+            ends = 0 if self.keep == "ends" else slice(None)
+            value = self._column(name)
+            found = value[:, ends, 0] if name == "t" else value[:, ends] if name in ("q", "v") else value
+        elif name == "parameters":
+            found = {
+                known: self._column(f"given/{k}") for k, known in enumerate(self.given) if known not in ("q0", "v0")
+            }
+        elif name in self.given:
+            found = self._column(f"given/{self.given.index(name)}")
+        vars(self)[name] = found
+        return found
+
+    @overload
+    def __getitem__(self, k: int) -> Trajectory: ...
+    @overload
+    def __getitem__(self, k: slice | Sequence[int] | NDArray[Any]) -> BatchResult: ...
+    def __getitem__(self, k: int | slice | Sequence[int] | NDArray[Any]) -> Trajectory | BatchResult:
+        """Return the result of some of the runs, as of a `BatchResult`: a slice, indices, truth values.
 
         Raises:
-            InputError: no slice with a step of 1, or an empty one. SceneError: the file is damaged.
+            InputError: for one run, because files do not keep runs as a whole; for no runs. IndexError: there is no
+                such run. SceneError: the file is damaged.
         """
-        first, last, step = k.indices(self._runs) if isinstance(k, slice) else (0, 0, 0)
-        if step != 1 or last <= first:
+        if isinstance(k, (int, np.integer)):
+            _ = range(self._runs)[int(k)]
+            raise not_kept(self.keep, k)
+        none = isinstance(k, str) or (not isinstance(k, slice) and len(k) == 0)
+        chosen = np.zeros(0, dtype=int) if none else np.arange(self._runs)[k]
+        if not len(chosen):
             raise InputError(
-                "These are no runs of the file", name="k", expected=f"a slice within 0:{self._runs}", got=short(k),
-                remedy="Take batch[a:b], and single rows from its arrays",
+                "These are no runs of the file", name="k", expected=f"some of 0:{self._runs}", got=short(k),
+                remedy="Take batch[a:b], numbers of runs or truth values, and single rows from its arrays",
             )  # fmt: skip
-        parts = []
+        places = [(a, n) for a, n in self._places if np.any((chosen >= a) & (chosen < a + n))]
+        numbers = np.concatenate([np.arange(a, a + n) for a, n in places])
+        whole = joined(list(self.blocks(places)))
+        return BatchResult(self.keep, whole.rows([int(i) for i in np.searchsorted(numbers, chosen)]))
+
+    def blocks(self, places: Iterable[tuple[int, int]] | None = None) -> Iterator[Block]:
+        """Yield the runs as they are stored, block after block; places: (first run, number of runs) of some of them."""
         with _readable(self.path), zipfile.ZipFile(self.path) as archive:
-            for start, count in self._places:
-                if start < last and start + count > first:
-                    block = _read(archive, start, count, self.given)
-                    if any(len(values) != count for values in (*block.columns.values(), *block.given.values())):
-                        _refuse(self.path, "columns of different lengths")
-                    parts.append(block.rows(range(max(first - start, 0), min(last - start, count))))
-        return BatchResult(self.keep, joined(parts))
+            for first, count in self._places if places is None else places:
+                block = _read(archive, first, count, self.given)
+                if any(len(values) != count for values in (*block.columns.values(), *block.given.values())):
+                    _refuse(self.path, "columns of different lengths")
+                yield block
+
+    @property
+    def block(self) -> Block:
+        """The arrays as they are stored, of all runs."""
+        return joined(list(self.blocks()))
 
 
 @contextmanager
@@ -169,7 +263,7 @@ def _readable(path: Path) -> Iterator[None]:
     except (*UNREADABLE, TypeError) as error:
         if isinstance(error, ContactviError):
             raise
-        _refuse(path, f"{type(error).__name__}: {error}", error)
+        _refuse(path, told(error), error)
 
 
 def _put(archive: zipfile.ZipFile, name: str, values: NDArray[Any]) -> None:

@@ -120,7 +120,7 @@ class Plan:
         every = math.lcm(self.stride, length) // length * per_dt
         traj = simulate(
             self.scene, duration=steps * dt, dt=dt, impact=setting.impact, order=setting.order,
-            record_every=min(every, steps), throw=False, dense=False, tol=self.options.tol,
+            record_every=min(every, steps), throw=False, dense=False, solver_tol=self.options.solver_tol,
             max_iterations=self.options.max_iterations, max_impacts_per_step=self.options.max_impacts_per_step,
             progress=self.tick,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The command line: `contactvi run`, `bench`, `verify`, `reproduce`, `play`, `render`, `export`, `check` and more.
+"""The command line: `contactvi run`, `play`, `plot`, `render`, `export`, `check`, `bench`, `verify` and more.
 
 Exit codes: 0 done; 1 a case of verify failed, or a derivative; 2 wrong input, reported as expected, got, remedy; 3 the
 run ended early, with its files written where it has some; 4 the run has no derivative; 130 stopped by Ctrl-C.
@@ -7,6 +7,8 @@ run ended early, with its files written where it has some; 4 the run has no deri
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +20,7 @@ from contactvi.commands.console import (
     FAILED,
     NO_DERIVATIVE,
     WRONG_INPUT,
+    Force,
     err,
     make_folder,
     out,
@@ -25,13 +28,14 @@ from contactvi.commands.console import (
 )
 from contactvi.commands.export import export
 from contactvi.commands.live import live_options, run_live
-from contactvi.commands.output import Phases, print_summary, write_files
-from contactvi.commands.pictures import CameraOption, camera_value, play, render
+from contactvi.commands.output import ENERGY, FORCES, PAGE, RUN, Phases, own_folder, print_summary, write_files
+from contactvi.commands.pictures import CameraOption, camera_value, play, plot_run, render
 from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
 from contactvi.interrupts import held_back
 from contactvi.status import StatusCode
 from contactvi.tables import name_table, print_table
 from contactvi.version import version
+from contactvi.words import in_flags
 
 PackageDir = Annotated[
     list[str] | None, typer.Option("--package-dir", help="Folder in which package:// is looked for; repeatable.")
@@ -48,18 +52,40 @@ Configuration = Annotated[
     str | None, typer.Option(help="Start of a model: the name of a keyframe of the MJCF or of a state of the SRDF.")
 ]
 
+SolverTol = Annotated[
+    float | None,
+    typer.Option(help="With a number as --dt: what the equations of a step are solved to, relative; 1e-12."),
+]
+
 
 class _Commands(typer.core.TyperGroup):
     """The commands; a ContactviError becomes a message and the exit code 2, never a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = partial(self._show_warning, ctx, warnings.showwarning)
+                return super().invoke(ctx)
         except ContactviError as error:
             if isinstance(error, SimulationError) and error.status and error.status.code == StatusCode.INTERRUPTED:
                 raise KeyboardInterrupt from error
-            print_error(error)
+            print_error(error, self._flags(ctx))
             raise typer.Exit(NO_DERIVATIVE if isinstance(error, NotDifferentiable) else WRONG_INPUT) from error
+
+    def _show_warning(
+        self, ctx: Any, other: Callable[..., None], message: Warning, category: type[Warning], *place: Any
+    ) -> None:
+        """Print a warning of ours in the words of the command line; others as Python does."""
+        if category.__module__.partition(".")[0] != "contactvi":
+            other(message, category, *place)
+            return
+        err.print(f"[bold yellow]Warning:[/] {escape(in_flags(str(message), self._flags(ctx)))}")
+
+    def _flags(self, ctx: Any) -> dict[str, str]:
+        """Return the flags of the command that was called, by the names of their arguments."""
+        command = self.get_command(ctx, ctx.invoked_subcommand or "")
+        options = [] if command is None else [param for param in command.params if param.opts[0].startswith("--")]
+        return {str(param.name): max(param.opts, key=len) for param in options}
 
 
 app = typer.Typer(
@@ -108,10 +134,8 @@ def run(
         typer.Option(help="The value that mhc conserves: local (of the step) or global (of the start of the run)."),
     ] = None,
     order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
-    tol: Annotated[
-        float | None,
-        typer.Option(help="With a number as dt: what a step is solved to, relative. With auto: accuracy of q."),
-    ] = None,
+    tol: Annotated[float | None, typer.Option(help="With --dt auto: the accuracy of q, in m and rad.")] = None,
+    solver_tol: SolverTol = None,
     dt_contact: Annotated[
         float | None,
         typer.Option(help="Length of contact steps, of order 2, in seconds: by default --dt, above order 2 1e-3."),
@@ -136,8 +160,10 @@ def run(
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
     plot: Annotated[
         bool,
-        typer.Option("--plot/--no-plot", help="Write energy.png, and forces.png where there was persistent contact."),
-    ] = True,
+        typer.Option(
+            "--plot/--no-plot", help="Draw what contactvi plot draws at once: energy.png, and forces.png of contact."
+        ),
+    ] = False,
     base: Base = None,
     configuration: Configuration = None,
     height: Annotated[
@@ -149,10 +175,12 @@ def run(
     save_scene: Annotated[
         Path | None, typer.Option(metavar="SCENE.toml", help="Write the scene file that says what a run assumes.")
     ] = None,
+    force: Force = False,
 ) -> None:
-    """Run a scene or a model; write trajectory.npz, playback.html, energy.png, and forces.png of persistent contact.
+    """Run a scene or a model; write trajectory.npz and playback.html, with --plot what contactvi plot draws, too.
 
-    A model with a free base is dropped on a plane; one with a fixed base is held, and its joints move limp.
+    A model with a free base is dropped on a plane; one with a fixed base is held, and its joints move limp. Files of an
+    earlier run of the same scene are replaced, others only with --force.
     """
     view = camera_value(camera)
     phases = Phases()
@@ -165,7 +193,7 @@ def run(
     title = Path(scene_file).stem
     chosen: dict[str, Any] = {
         "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
-        "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
+        "tol": tol, "solver_tol": solver_tol, "record_every": record_every, "sample_dt": sample_dt,
         "dt_contact": dt_contact, "zeno": zeno, "support": support, "contact_mode": contact_mode,
     }  # fmt: skip
     given = {
@@ -173,7 +201,7 @@ def run(
         "allow": allow,
     }  # fmt: skip
     with phases.of("build"):
-        scene = scene_to_run(scene_file, given, save_scene, chosen)
+        scene = scene_to_run(scene_file, given, save_scene, chosen, force)
         if view is not None:
             scene.camera = view
         if live:
@@ -181,7 +209,8 @@ def run(
         settings = settings_of(scene, chosen)
         scene.core()
     folder = output if output is not None else Path(title)
-    make_folder(folder)  # before the run: a long one must not fail when its files are written
+    # Before the run: a long one must not fail when its files are written.
+    make_folder(folder, (RUN, PAGE, ENERGY, FORCES), force or own_folder(folder, scene))
     with held_back() as ctrl_c:  # what was computed is written
         try:
             with RunProgress(settings.span, err) as bar, warnings.catch_warnings():
@@ -195,7 +224,7 @@ def run(
         except SimulationError as error:
             traj = error.trajectory
         written = write_files(traj, folder, title, fps if html else None, plot, phases)
-        print_summary(traj, written, phases)
+        print_summary(traj, written, phases, None if plot else folder)
     if traj.status.ok:
         ctrl_c.check()
     if not traj.status.ok:
@@ -211,9 +240,10 @@ def bench(
     ] = None,
     dt: Annotated[float | None, typer.Option(help="Time step in seconds around which the ladder is built.")] = None,
     duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
-    tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
+    solver_tol: SolverTol = None,
     orders: Annotated[str, typer.Option(metavar="2,4,...", help="Orders to compare, from 2, 4, ... 16.")] = "2,4,8,16",
     budget: Annotated[float, typer.Option(help="Wall time allowed in seconds.")] = 60.0,
+    force: Force = False,
 ) -> None:
     """Measure run time against error of a scene over orders, impact maps and steps; write bench.png and bench.csv."""
     import contactvi as cvi
@@ -223,10 +253,12 @@ def bench(
 
     scene = cvi.load_scene(scene_file)
     folder = output if output is not None else Path(f"{scene_file.stem}-bench")
-    make_folder(folder)
+    make_folder(folder, ("bench.csv", "bench.png"), force)
     with JobProgress(err, time_left=False) as bar:
         chosen = [int(order) if order.strip().isdigit() else 0 for order in orders.split(",")]
-        result = measure(scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, tol=tol)
+        result = measure(
+            scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, solver_tol=solver_tol
+        )
     out.print(bench_report.heading(result) + "\n", markup=False)
     print_table(out, bench_report.table(result))
     for line in ["", *bench_report.notes(result)]:
@@ -248,6 +280,7 @@ def reproduce(
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer random starts and repeats: well under a minute.")
     ] = False,
+    force: Force = False,
 ) -> None:
     """Measure the claims of the paper's Table I and draw its Fig. 1; write report.md, table.csv and pictures."""
     from contactvi.progress import JobProgress
@@ -255,7 +288,7 @@ def reproduce(
     from contactvi.reproduce.report import summary as verdicts
     from contactvi.reproduce.report import verdict
 
-    make_folder(output)
+    make_folder(output, ("report.md", "table.csv"), force)
     with JobProgress(err) as bar:
         result = reproduction.reproduce(output, quick=quick, progress=bar)
     print_table(out, name_table((row.key, verdict(row), row.measured) for row in result.rows))
@@ -300,6 +333,7 @@ def verify(
 
 
 app.command()(play)
+app.command("plot")(plot_run)
 app.command()(render)
 app.command()(export)
 
@@ -353,7 +387,7 @@ def check_gradient(
     impact: Annotated[str | None, typer.Option(help="Impact map: ctec, dtec or mhc.")] = None,
     mhc_reference: Annotated[str | None, typer.Option(help="The value that mhc conserves: local or global.")] = None,
     order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
-    tol: Annotated[float | None, typer.Option(help="What a step is solved to, relative.")] = None,
+    solver_tol: SolverTol = None,
 ) -> None:
     """Compare the exact derivatives of a run with differences of it; exit code 1 where they disagree, 4 without."""
     import contactvi as cvi
@@ -362,8 +396,8 @@ def check_gradient(
 
     scene = cvi.load_scene(scene_file)
     chosen: dict[str, Any] = {
-        "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order, "tol": tol,
-        "dt": dt, "wrt": [name.strip() for name in wrt.split(",")],
+        "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
+        "solver_tol": solver_tol, "dt": dt, "wrt": [name.strip() for name in wrt.split(",")],
     }  # fmt: skip
     try:
         with JobProgress(err) as bar:

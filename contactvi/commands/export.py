@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from contactvi.commands.console import Force
 from contactvi.tables import name_table, print_table
 
 _out = Console(highlight=False, soft_wrap=True)
@@ -27,6 +28,7 @@ def export(
         float | None,
         typer.Option(metavar="SECONDS", help="Write the table forces, too: means over windows of this length."),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Write tables of a run as CSV, and their units as units.csv.
 
@@ -35,6 +37,8 @@ def export(
     import contactvi as cvi
 
     traj = cvi.Trajectory.load(file)
-    written = traj.to_csv(output if output is not None else file.with_suffix(""), table or None, sample_dt)
+    written = traj.to_csv(
+        output if output is not None else file.with_suffix(""), table or None, sample_dt, overwrite=force
+    )
     rows = [("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)") for k, path in enumerate(written)]
     print_table(_out, name_table(rows))

@@ -26,7 +26,7 @@ def live_options(scene: Scene, chosen: dict[str, Any]) -> dict[str, Any]:
     if not settings_of(scene, chosen).auto:
         return chosen
     err.print(f'The live view takes steps of one length: dt = {DEFAULT_DT:g} s in place of "auto", which chooses them.')
-    return {**chosen, "dt": DEFAULT_DT, "tol": None}  # of "auto", tol is the accuracy of the whole run
+    return {**chosen, "dt": DEFAULT_DT, "tol": None}  # the accuracy of runs that choose their steps
 
 
 def run_live(

@@ -8,9 +8,6 @@ the scene file, so that what was run can be changed.
 from __future__ import annotations
 
 import contextlib
-import json
-import math
-import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,13 +22,13 @@ from rich.markup import escape
 from contactvi.commands.console import out
 from contactvi.errors import InputError, SeparationError, UnusedSettingWarning
 from contactvi.files import write_atomic
-from contactvi.importing.joint_kinds import joint_kind
 from contactvi.importing.paths import resolve_path
 from contactvi.importing.xml import read_xml
 from contactvi.inputs import real
 from contactvi.scene.scene import GRAVITY, Scene
 from contactvi.scene.separation import LIMIT
 from contactvi.scene.toml import load_scene
+from contactvi.scene.toml_text import toml_page, value_in_file
 from contactvi.tables import name_table, print_table
 
 MODEL_ENDINGS = (".urdf", ".xml", ".mjcf")
@@ -73,14 +70,12 @@ class ModelScene:
     assumed: list[tuple[str, str]] = field(default_factory=list)
     tables: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
 
-    def save(self, path: Path, settings: Mapping[str, Any]) -> Path:
+    def save(self, path: Path, settings: Mapping[str, Any], overwrite: bool) -> Path:
         """Write the scene file that says what was assumed, with these settings of the run; return its path."""
         folder = path.resolve().parent
         run = {**self.scene.settings, **{name: value for name, value in settings.items() if value is not None}}
-        lines = ["# Written by contactvi run --save-scene. SI units, radians."]
-        for header, keys in [*self.tables, ("[run]", run)]:
-            lines += ["", header, *(f"{_key(key)} = {_value(key, value, folder)}" for key, value in keys.items())]
-        return write_atomic(path, lambda file: file.write(("\n".join(lines) + "\n").encode()))
+        text = toml_page("Written by contactvi run --save-scene.", [*self.tables, ("[run]", run)], folder)
+        return write_atomic(path, lambda file: file.write(text.encode()), overwrite)
 
 
 def choice_of(given: Mapping[str, Any]) -> Choice:
@@ -88,7 +83,9 @@ def choice_of(given: Mapping[str, Any]) -> Choice:
     return Choice(**{name: value for name, value in given.items() if value is not None})
 
 
-def scene_to_run(file: str, given: Mapping[str, Any], save_scene: Path | None, settings: Mapping[str, Any]) -> Scene:
+def scene_to_run(
+    file: str, given: Mapping[str, Any], save_scene: Path | None, settings: Mapping[str, Any], force: bool
+) -> Scene:
     """Return the scene of a scene file, or of a model, whose assumptions are printed and saved.
 
     Args:
@@ -101,7 +98,7 @@ def scene_to_run(file: str, given: Mapping[str, Any], save_scene: Path | None, s
         found = model_scene(file, choice_of(given))
         print_assumed(file, found)
         if save_scene is not None:
-            out.print(f"Scene file: {escape(str(found.save(save_scene, settings)))}")
+            out.print(f"Scene file: {escape(str(found.save(save_scene, settings, force)))}")
         out.print()
         return found.scene
     for name, value in {**given, "save_scene": save_scene}.items():
@@ -361,15 +358,6 @@ def _move_apart(found: ModelScene) -> SeparationError | None:
     return None
 
 
-def value_in_file(joint: pin.JointModel, q: Sequence[float] | np.ndarray) -> Any:
-    """Return the numbers of a joint, q (nq,), as scene files have them."""
-    if joint.nv == 1:
-        return float(q[0]) if joint.nq == 1 else math.atan2(q[1], q[0])
-    if joint_kind(joint) == "planar":
-        return [float(q[0]), float(q[1]), math.atan2(q[3], q[2])]
-    return [float(value) for value in q]
-
-
 def _take_out_overlaps(found: ModelScene) -> bool:
     """Leave out the pairs of the model itself that overlap at its start; return whether there are some."""
     pairs = found.scene.disable_overlapping(found.scene.q0)
@@ -380,37 +368,3 @@ def _take_out_overlaps(found: ModelScene) -> bool:
     listed = ", ".join(f"{a} | {b}" for a, b in pairs[:3]) + (f" and {len(pairs) - 3} more" if len(pairs) > 3 else "")
     found.assumed.append(("overlaps", f"pairs of the model that overlap at the start, left out: {listed}"))
     return True
-
-
-def _value(key: str, value: Any, folder: Path) -> str:
-    """Return a value as TOML; relative paths become relative to the folder of the scene file."""
-    if key in ("path", "srdf"):
-        return _text(_from(folder, value))
-    if key == "package_dirs":
-        return "[" + ", ".join(_text(_from(folder, entry)) for entry in value) + "]"
-    return _plain(value)
-
-
-def _key(name: str) -> str:
-    return name if name.isascii() and name.replace("_", "").replace("-", "").isalnum() else _text(name)
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(key)} = {_plain(inner)}" for key, inner in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_plain, value)) + "]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return _text(value) if isinstance(value, str) else repr(value)
-
-
-def _from(folder: Path, path: str) -> str:
-    if "://" in path or os.path.isabs(path) or path.startswith("~"):
-        return path
-    return os.path.relpath(os.path.abspath(path), folder)
-
-
-def _text(text: str) -> str:
-    """Return a string as TOML's basic string."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

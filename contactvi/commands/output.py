@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from contactvi.commands.console import err, out
 from contactvi.tables import name_table, print_table
 
 if TYPE_CHECKING:
+    from contactvi.scene.scene import Scene
     from contactvi.trajectory.trajectory import Trajectory
 
 
@@ -37,23 +39,46 @@ class Phases:
         return ", ".join(f"{name} {seconds:.2g} s" for name, seconds in self.seconds.items())
 
 
+RUN, PAGE, ENERGY, FORCES = "trajectory.npz", "playback.html", "energy.png", "forces.png"
+
+
+def own_folder(folder: Path, scene: Scene) -> bool:
+    """Return whether the run in a folder is one of this scene, which may replace what it has left there."""
+    if not (folder / RUN).is_file():
+        return False
+    from contactvi.scene.fingerprint import fingerprint
+    from contactvi.trajectory.storage import stored_fingerprint
+
+    return stored_fingerprint(folder / RUN) == fingerprint(scene.to_dict())
+
+
 def write_files(
     traj: Trajectory, folder: Path, title: str, fps: float | None, plot: bool, phases: Phases
 ) -> list[Path]:
     """Write the files of a run, the playback where it has a frame rate; return their paths."""
     with phases.of("save"):
-        written = [traj.save(folder / "trajectory.npz")]
+        written = [traj.save(folder / RUN, overwrite=True)]
     if fps is not None:
         with phases.of("playback"):
-            written.append(traj.to_html(folder / "playback.html", fps=fps, title=title))
+            written.append(traj.to_html(folder / PAGE, fps=fps, title=title, overwrite=True))
     if plot:
         with phases.of("plots"):
-            from contactvi.trajectory.plots import save_force_plot, save_plot
-
-            written.append(save_plot(traj, folder / "energy.png"))
-            if np.any(traj.contacts.h > 0.0):
-                written.append(save_force_plot(traj, folder / "forces.png"))
+            written += draw_plots(traj, folder, "png", overwrite=True)
     return written
+
+
+def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool) -> list[Path]:
+    """Draw the energy of a run, and its contact forces if it has some, as files of this kind; return their paths."""
+    from contactvi.files import check_free
+    from contactvi.trajectory.plots import save_force_plot, save_plot
+
+    names = [(folder / ENERGY).with_suffix(f".{kind}"), (folder / FORCES).with_suffix(f".{kind}")]
+    if not np.any(traj.contacts.h > 0.0):
+        del names[1]
+    for name in names:
+        check_free(name, overwrite)
+    written = [save_plot(traj, names[0], overwrite=True)]
+    return [*written, *(save_force_plot(traj, name, overwrite=True) for name in names[1:])]
 
 
 def run_title(file: Path) -> str:
@@ -62,13 +87,19 @@ def run_title(file: Path) -> str:
     return parent if file.stem == "trajectory" and parent else file.stem
 
 
-def print_summary(traj: Trajectory, written: list[Path], phases: Phases) -> None:
-    """Print what a run did, the files, the times of the parts of the command, and what a user has to be warned of."""
+def print_summary(traj: Trajectory, written: list[Path], phases: Phases, folder: Path | None = None) -> None:
+    """Print what a run did, the files, the times of the parts of the command, and what a user has to be warned of.
+
+    Args:
+        folder: of the run, where its plots are not drawn yet.
+    """
     from contactvi.commands.summary import summary
 
     lines = summary(traj)
     for k, path in enumerate(written):
         lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
+    if folder is not None:
+        lines.append(("plots", f"contactvi plot {shlex.quote(str(folder))}"))
     lines.append(("took", str(phases)))
     print_table(out, name_table(lines))
     if traj.status.ok and traj.options.auto and not traj.error_estimate <= traj.options.tol:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.markup import escape
 
-from contactvi.commands.console import out
+from contactvi.commands.console import Force, make_folder, out
 from contactvi.commands.output import run_title
 
 CameraOption = Annotated[
@@ -39,16 +39,55 @@ def play(
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
     fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
     camera: CameraOption = None,
+    force: Force = False,
 ) -> None:
     """Write the playback of a run as a page of its own and open it in the browser."""
     import contactvi as cvi
 
     chosen = camera_value(camera)
     traj = cvi.Trajectory.load(file)
-    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=run_title(file), camera=chosen)
+    target = output or file.with_suffix(".html")
+    again = force or (output is None and _is_page(target))  # the page of this run is made anew
+    page = traj.to_html(target, fps=fps, title=run_title(file), camera=chosen, overwrite=again)
     out.print(f"Playback: {escape(str(page))}")
     if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
         out.print("No browser was found: open the page by hand.")
+
+
+def plot_run(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of a run, or its file (.npz).", show_default=False)
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for the plots, by default the run's.")
+    ] = None,
+    kind: Annotated[str, typer.Option("--format", help="png or svg.")] = "png",
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the plots.")] = True,
+    force: Force = False,
+) -> None:
+    """Draw the energy of a run and its contact forces, as energy.png and forces.png, and open them."""
+    from contactvi.commands.output import RUN, draw_plots
+    from contactvi.inputs import check_choice
+    from contactvi.trajectory.trajectory import Trajectory
+
+    check_choice("format", kind, ("png", "svg"), "Unknown format of a plot")
+    file = run / RUN if run.is_dir() else run
+    again = force or (output is None and file.name == RUN)  # of a folder that contactvi run has made
+    traj = Trajectory.load(file)
+    folder = file.parent if output is None else output
+    make_folder(folder)
+    for path in draw_plots(traj, folder, kind, again):
+        out.print(f"Plot: {escape(str(path))}")
+        if browser and not webbrowser.open(path.resolve().as_uri(), new=2):
+            out.print("No browser was found: open the plot by hand.")
+
+
+def _is_page(path: Path) -> bool:
+    """Return whether a file is a page that contactvi wrote."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return b'<meta name="generator" content="contactvi">' in file.read(1000)
 
 
 def render(
@@ -65,6 +104,7 @@ def render(
     start: Annotated[float | None, typer.Option(help="Time at which the film begins, in seconds.")] = None,
     end: Annotated[float | None, typer.Option(help="Time at which it ends.")] = None,
     forces: Annotated[bool, typer.Option("--forces/--no-forces", help="Arrows of forces and impulses.")] = True,
+    force: Force = False,
 ) -> None:
     """Draw a run as a GIF, an MP4 or a PNG, by Chromium without a window; an MP4 needs ffmpeg."""
     import contactvi as cvi
@@ -73,6 +113,15 @@ def render(
     traj = cvi.Trajectory.load(file)
     target = output or file.with_suffix(".gif" if at is None else ".png")
     written = traj.render(
-        target, camera=chosen, size=size, at=at, fps=fps, speed=speed, start=start, end=end, forces=forces
+        target,
+        camera=chosen,
+        size=size,
+        at=at,
+        fps=fps,
+        speed=speed,
+        start=start,
+        end=end,
+        forces=forces,
+        overwrite=force,
     )
     out.print(f"{escape(str(written))}  ({written.stat().st_size / 1e6:.2g} MB)")

@@ -55,7 +55,7 @@ class Problem:
             Restitution is within [0, 1], friction, stiffness, damping, armature and gains are not negative anyway.
         hessp: the second derivative of `cost`, as for contactvi.hessian_vector, if it is known.
         on_kink: as for contactvi.gradient.
-        options: of the run, as for contactvi.simulate: order, impact, tol, dt_contact, ...
+        options: of the run, as for contactvi.simulate: order, impact, solver_tol, dt_contact, ...
 
     Attributes:
         variables: the layout of z: `blocks` (name -> slice), `names`, `z0` (what is not chosen).

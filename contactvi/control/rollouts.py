@@ -44,6 +44,7 @@ class RolloutOptions(TypedDict, total=False):
 
     order: int
     tol: float
+    solver_tol: float
     impact: ImpactMap
     mhc_reference: MhcReference
     contact_mode: ContactSteps
@@ -75,7 +76,7 @@ class Rollouts:
             or (width,).
         workers: number of threads; None for one per core.
         on_kink: as for contactvi.gradient.
-        **options: order, tol, impact, contact_mode, ...: those of `simulate` that a batch of runs may have.
+        **options: order, solver_tol, impact, contact_mode, ...: those of `simulate` that a batch of runs may have.
 
     Attributes:
         batch: the shapes of the inputs (contactvi.batch.shapes).

@@ -71,7 +71,7 @@ class ActionModel(crocoddyl.ActionModelAbstract):
             None: no bounds. Only solvers with bounds (Box-FDDP, Box-DDP) use them.
         t: time at the start of the interval [s], for scenes in which something depends on it.
         on_kink: as for Sensitivity.
-        options: of the run, as for `simulate`: order, impact, tol, contact_mode, ...
+        options: of the run, as for `simulate`: order, impact, solver_tol, contact_mode, ...
 
     Raises:
         InputError: for bad arguments, and costs of another model or number of inputs.

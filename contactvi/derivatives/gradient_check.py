@@ -22,6 +22,7 @@ from contactvi.derivatives.constrained_starts import ConstrainedStarts
 from contactvi.derivatives.perturbed_runs import SOLVED, PerturbedRuns, RunEnd
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import callback, check_choice, count, real, short
+from contactvi.keywords import with_keywords
 from contactvi.options import FurtherOptions, ImpactMap
 from contactvi.simulation.simulation import Control, simulate
 from contactvi.trajectory.sensitivity import ON_KINK, PLAIN, Sensitivity, wanted
@@ -144,6 +145,7 @@ class GradientCheck:
         return text + (f", {counts[NEITHER]} disagree" if counts[NEITHER] else "")
 
 
+@with_keywords(FurtherOptions)
 def check_gradient(
     scene: Scene,
     q0: ArrayLike | None = None,
@@ -159,6 +161,7 @@ def check_gradient(
     impact: ImpactMap | None = None,
     order: int | None = None,
     tol: float | None = None,
+    solver_tol: float | None = None,
     control: ArrayLike | Control | None = None,
     target: Any = None,
     progress: Progress | None = None,
@@ -171,7 +174,7 @@ def check_gradient(
     the start which is changed along it and brought back to the constraints.
 
     Args:
-        scene, q0, v0, duration, dt, impact, order, tol, control, target, options: as those of `simulate`.
+        scene, q0, v0, duration, dt, impact, order, tol, solver_tol, control, target, options: as those of `simulate`.
         wrt, on_kink: as those of `Trajectory.sensitivity`, but no parameters of the scene.
         columns: compare so many, at least one of each name, chosen at random by `seed`; None: all. A column costs up to
             30 runs.
@@ -188,7 +191,7 @@ def check_gradient(
     called = callback("progress", progress)
     chosen: dict[str, Any] = {
         **options, "record": "gradient", "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
-        "control": control, "target": target,
+        "solver_tol": solver_tol, "control": control, "target": target,
     }  # fmt: skip
     for name in wanted(wrt):
         if name.partition(":")[0] not in PLAIN:
@@ -199,7 +202,7 @@ def check_gradient(
     traj = simulate(scene, q0, v0, **chosen)
     if len(traj.dense_steps) and traj.options.stage_tol > SOLVED:
         # Gaps that count as closed are errors of the speeds, over dt: differences see them.
-        traj = simulate(scene, q0, v0, **{**chosen, "tol": SOLVED})
+        traj = simulate(scene, q0, v0, **{**chosen, "tol": None, "solver_tol": SOLVED})
     exact = traj.sensitivity(wrt, on_kink=on_kink)
     runs = PerturbedRuns(scene, traj, exact)
     ends = _ends(runs.starts, exact, traj, on_kink)

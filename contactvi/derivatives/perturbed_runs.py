@@ -56,7 +56,7 @@ class PerturbedRuns:
         self._compiled = compile_scene(scene).at_start(traj.q[0])
         # Runs for derivatives have steps of their own: with implicit maps contact steps of order 2 where others hold
         # constraints in smooth steps; and all trees are advanced together.
-        self._settings = replace(traj.options, record="gradient", tol=min(SOLVED, traj.options.stage_tol))
+        self._settings = replace(traj.options, record="gradient", solver_tol=min(SOLVED, traj.options.stage_tol))
         self._q, self._v, self._t = np.array(traj.q[0]), np.array(traj.v[0]), float(traj.t[0])
         bound = bool(self._compiled.built.elements.constraints)
         self.starts = ConstrainedStarts(self._compiled, self._q, self._v, self._t) if bound else None
@@ -71,7 +71,7 @@ class PerturbedRuns:
             raise NotDifferentiable(
                 "The run has other impacts when its steps are solved to rounding", reason="tolerance",
                 expected=f"{len(traj.events)} impacts", got="no run" if middle is None else str(len(middle.times)),
-                remedy=f"Make tol smaller, for example {SOLVED:g}",
+                remedy=f"Make solver_tol smaller, for example {SOLVED:g}",
             )  # fmt: skip
         self.middle = middle
         times = [event.time for event in exact.report.events]  # the first one of those at one instant

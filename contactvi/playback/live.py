@@ -36,6 +36,10 @@ class LiveView:
     """A simulator that is shown at `url` while it runs; a context manager, which closes it.
 
     The page is shown what the simulator is at each `sync`, so nothing is seen of a simulator that is not synced.
+
+    Args:
+        realtime: True, so that `sync` holds simulated time back to wall time, or a number of simulated seconds per
+            second.
     """
 
     def __init__(

@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
-from contactvi.files import write_atomic
+from contactvi.files import check_free, write_atomic
 from contactvi.inputs import flag, words
 from contactvi.playback.animation import Frames, Poses, frames_of
 from contactvi.playback.animation import Run as AnimatedRun
@@ -70,23 +70,27 @@ def write_html(
     play: bool = True,
     forces: bool = True,
     camera: Any = None,
+    overwrite: bool = False,
 ) -> Path:
     """Write the page that plays `run`; return its path.
 
     Args:
-        path: file to write, replaced whole or not at all.
+        path: file to write, whole or not at all.
         fps: frames per second of simulated time, > 0; impacts get a frame of their own. Long runs get fewer.
         title: heading and name of the page.
         play: start playing when the page is opened.
         forces: show the forces of persistent contacts as arrows, where the run has recorded some.
         camera: "auto" (the open side), "front", "side", "top", {"eye": [x, y, z], "target": [x, y, z]} [m, world
             frame] or {"follow": "name of a body"}; None: the scene's, else "auto".
+        overwrite: whether a file of this name is replaced.
 
     Raises:
+        OverwriteError: there is such a file, without `overwrite`.
         InputError: for a camera, title, flag or rate that is not usable, and a path that cannot be written.
     """
+    check_free(path, overwrite)
     text = make_html(run, fps=fps, title=title, play=play, forces=forces, camera=camera)
-    return write_atomic(path, lambda file: file.write(text.encode("utf-8")))
+    return write_atomic(path, lambda file: file.write(text.encode("utf-8")), overwrite)
 
 
 def make_html(run: Run, *, script: str = "", **options: Any) -> str:

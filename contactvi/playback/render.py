@@ -17,7 +17,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from contactvi.errors import ContactviError, InputError
-from contactvi.files import checked_path, write_atomic
+from contactvi.files import check_free, write_atomic
 from contactvi.inputs import count, entries, flag, positive, real, short
 from contactvi.playback.browser import find_browser, pictures
 from contactvi.playback.page import Run, chosen_camera, make_html
@@ -45,6 +45,7 @@ def render(
     start: float | None = None,
     end: float | None = None,
     forces: bool = True,
+    overwrite: bool = False,
 ) -> Path:
     """Draw a run into a file; return its path. Needs Chromium or Chrome, an MP4 ffmpeg too.
 
@@ -58,12 +59,14 @@ def render(
         speed: of a film, simulated seconds per second.
         start, end: times between which a film goes [s], by default those of the run.
         forces: show the forces of contacts, and impacts.
+        overwrite: whether a file of this name is replaced.
 
     Raises:
+        OverwriteError: there is such a file, without `overwrite`.
         InputError: a bad argument, another ending, or more than 5000 frames.
         ContactviError: no browser, no ffmpeg, or one of them failed.
     """
-    file = checked_path(path)
+    file = check_free(path, overwrite)
     kind = _kind(file, at)
     width, height = _size(size, kind)
     fps, speed = positive("fps", fps, "frames per second"), positive("speed", speed, "simulated seconds per second")
@@ -81,10 +84,10 @@ def render(
     frames = _Frames(run, camera, forces, width, height, speed, moment)
     if kind == ".png":
         (picture,) = frames.draw(times)
-        return write_atomic(file, lambda out: picture.save(out, "PNG", optimize=True))
+        return write_atomic(file, lambda out: picture.save(out, "PNG", optimize=True), overwrite)
     if kind == ".gif":
-        return write_atomic(file, lambda out: _write_gif(out, frames, times, fps))
-    return write_atomic(file, lambda out: _write_mp4(out, frames, times, fps))
+        return write_atomic(file, lambda out: _write_gif(out, frames, times, fps), overwrite)
+    return write_atomic(file, lambda out: _write_mp4(out, frames, times, fps), overwrite)
 
 
 class _Frames:

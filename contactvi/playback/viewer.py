@@ -9,7 +9,7 @@ import webbrowser
 from typing import TYPE_CHECKING, Any, overload
 
 from contactvi.inputs import flag
-from contactvi.playback.keywords import check_keywords
+from contactvi.keywords import check_keywords, with_keywords
 from contactvi.playback.live import LiveView
 from contactvi.playback.live_frames import Stepped
 from contactvi.playback.notebook import inline
@@ -25,6 +25,7 @@ def view(run: Run, *, open_browser: bool | None = None, **options: Any) -> View:
 def view(
     run: Stepped, *, open_browser: bool | None = None, realtime: bool | float = False, **options: Any
 ) -> LiveView: ...
+@with_keywords(write_html, LiveView, skip=["overwrite"])
 def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any) -> View | LiveView:
     """Serve the playback of a run, or the live view of a simulator, and open it in the browser; return at once.
 
@@ -32,9 +33,8 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
         run: a Trajectory, or a Simulator that has been reset.
         open_browser: open a browser window; None: yes, but not in a notebook, where the result shows itself as the last
             line of a cell. The address is printed in any case.
-        **options: title="", forces=True, camera="auto" as of `contactvi.playback.page.write_html`; of a Trajectory
-            fps=60 and play=True, too; of a Simulator realtime: True, so that `sync` holds simulated time back to wall
-            time, or a number of simulated seconds per second.
+        **options: as of `Trajectory.to_html`; fps and play of a Trajectory alone, and of a Simulator alone
+            realtime.
 
     The page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
     a file that needs no process, use `Trajectory.to_html`.
@@ -59,7 +59,7 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
         check_keywords(LiveView, options, "The live view")
         shown = LiveView(run, **options)
     else:
-        check_keywords(write_html, options, "The view of a run")
+        check_keywords(write_html, options, "The view of a run", skip=["overwrite"])
         shown = View(page_data(run, **options))
     kind = "Live view" if isinstance(shown, LiveView) else "Playback"
     print(f"{kind} at {shown.url}", flush=True)  # at once into a pipe, too

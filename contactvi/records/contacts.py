@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from contactvi.aliases import alias
 from contactvi.errors import InputError
-from contactvi.html import html_table
+from contactvi.html import html_fields, html_table
 from contactvi.inputs import real
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import LIMITS, label
@@ -55,7 +55,7 @@ CHANGE_FIELDS: Fields = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Contact:
     """One contact point over one step, or in one impact.
 
@@ -94,6 +94,22 @@ class Contact:
     def normal_force(self) -> float:
         """Force along the normal [N; of a limit N or N m], >= 0."""
         return float(self.force[0] if self.kind == "limit" else self.force @ self.normal)
+
+    def __str__(self) -> str:
+        size = np.linalg.norm(self.impulse)
+        acts = f"impulse {size:.6g} N s" if self.h == 0.0 else f"normal force {self.normal_force:.6g} N"
+        return f"t = {self.t:.9g} s  {self.pair[0]} | {self.pair[1]}  point {self.point}  {self.mode}  {acts}"
+
+    def __repr__(self) -> str:
+        return f"<Contact: {self}>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: every field by name."""
+        fields = {"pair": " | ".join(self.pair), "t": f"{self.t:.9g} s", "h": f"{self.h:.6g} s"}
+        fields |= {"point": str(self.point), "mode": self.mode + (", in a dense step" if self.dense else "")}
+        for name, unit in (("position", "m"), ("normal", ""), ("impulse", "N s"), ("force", "N"), ("slip", "m/s")):
+            fields[name] = "(" + ", ".join(f"{x:.6g}" for x in getattr(self, name)) + f") {unit}"
+        return html_fields("Contact", fields | {"gap": f"{self.gap:.3g} m"})
 
 
 class ContactLog(StepRows, Items[Contact]):

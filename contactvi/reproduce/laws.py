@@ -51,7 +51,7 @@ def scalar_row() -> Row:
         largest = np.max([np.abs(values).max(axis=0) for values in jumps.values()], axis=0)
         for j, scalar in enumerate(SCALARS):
             what = f"largest jump of {scalar}"
-            own_jump = at_most(what, _OWN, largest[j], "tol = 1e-13 times the condition of an impact")
+            own_jump = at_most(what, _OWN, largest[j], "solver_tol = 1e-13 times the condition of an impact")
             visible = at_least(what, _VISIBLE, largest[j], "1e5 times what the map's own scalar may have")
             checks.append((own_jump if j == k else visible).of(name, "6 impacts, h = 0.04 .. 0.01 s", "1"))
         own[name], others[name] = float(largest[k]), float(np.delete(largest, k).min())
@@ -124,7 +124,7 @@ def momentum_row() -> Row:
 
 def _collide(make: Callable[[], tuple[Any, Array]], name: ImpactMap) -> Trajectory:
     scene, v0 = make()
-    traj = simulate(scene, scene.neutral(), v0, duration=2.0, dt=0.02, impact=name, tol=1e-13)
+    traj = simulate(scene, scene.neutral(), v0, duration=2.0, dt=0.02, impact=name, solver_tol=1e-13)
     if not len(traj.events):
         raise ContactviError(
             "The bodies did not collide", remedy="This is a bug: please report it", expected="an impact", got="none"

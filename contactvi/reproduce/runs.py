@@ -244,7 +244,7 @@ def dense_runs() -> Dense:
         scene = ball(height)
         for name in MAPS:
             traj = simulate(
-                scene, scene.neutral(), np.zeros(6), duration=BALL_DURATION, dt=BALL_STEP, impact=name, tol=1e-13
+                scene, scene.neutral(), np.zeros(6), duration=BALL_DURATION, dt=BALL_STEP, impact=name, solver_tol=1e-13
             )
             errors[name].append((traj.energy - traj.energy[0]) / (GRAVITY * height))
             impacts[name].append(len(traj.events))

@@ -60,7 +60,14 @@ def run_b(
     """Run problem B from rest at the absolute angles `start`, shape (2,) [rad], with one impact map."""
     q0 = np.linalg.solve(ABSOLUTE, start)
     return simulate(
-        problem_b(), q0, np.zeros(2), duration=duration, dt=dt, impact=impact, tol=1e-13, record_every=record_every
+        problem_b(),
+        q0,
+        np.zeros(2),
+        duration=duration,
+        dt=dt,
+        impact=impact,
+        solver_tol=1e-13,
+        record_every=record_every,
     )
 
 
@@ -93,4 +100,4 @@ def body_at_wall() -> tuple[Scene, Array]:
 
 def stepper(scene: Scene, impact: ImpactMap, dt: float) -> Simulator:
     """Return a simulator with the tolerance of `run_b`."""
-    return Simulator(scene, dt=dt, impact=impact, tol=1e-13)
+    return Simulator(scene, dt=dt, impact=impact, solver_tol=1e-13)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
 from contactvi.inputs import flag, mapping, pose, real, vector
+from contactvi.keywords import refusing_methods
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
@@ -38,6 +40,7 @@ from contactvi.scene.joints import (
     with_armature,
     with_one_dof,
 )
+from contactvi.scene.notes import Notes, noted
 from contactvi.scene.pairs import within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
@@ -48,12 +51,16 @@ from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import Names, PartHandle, Selector
 from contactvi.scene.separation import Separation, separate
-from contactvi.scene.shown import scene_html
+from contactvi.scene.shown import refuse_attribute, scene_html, scene_line, scene_text
 from contactvi.scene.surfaces import FunctionSurface, function_surface, missing_name
+from contactvi.scene.written import save_scene
 
 GRAVITY = (0.0, 0.0, -9.81)
+_SETTABLE = ("q0", "v0", "settings", "camera", "compiled")
 
 
+@refusing_methods
+@noted
 class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
     """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
 
@@ -81,6 +88,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         self._joints = JointTable()
         self._elements = ElementList()
         self._apart: frozenset[tuple[str, str]] = frozenset()  # tested although they overlap at the neutral pose
+        self._notes = Notes()  # of the calls that make the scene, for `save`
         self._built: Built | None = None  # made of the four owners; every edit drops it
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
@@ -90,8 +98,21 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         # functions of the user in it may hold the scene in turn.
         self.compiled: object = None
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute that a scene has; another one would have no effect.
+
+        Raises:
+            InputError: for what it has not, and what only its methods change.
+        """
+        if type(self) is Scene and not name.startswith("_") and name not in _SETTABLE:
+            refuse_attribute(name, type(self), _SETTABLE)
+        super().__setattr__(name, value)
+
     def __repr__(self) -> str:
-        return f"<Scene: {len(self.parts)} parts, {len(self.elements)} elements>"
+        return scene_line(self, None if self._built is None else self._built.pairs)
+
+    def __str__(self) -> str:
+        return scene_text(self)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
@@ -129,6 +150,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         part.self_collision = flag("self_collision", self_collision)
         scene = cls(model.gravity.linear)
         scene._add(part, PartHandle)
+        scene._notes.lost = "a model that was given as a pin.Model"
         return scene
 
     def add_urdf(
@@ -634,6 +656,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
             InputError: as `parameter`; a value of the wrong shape or that no scene has; two names of one number.
         """
         twin = self.copy()
+        twin._notes.lost = "parameters that with_parameters has changed"
         ParameterEditor(ParameterValues(self.built()), twin._parts, twin._contact, twin._joints).set(values)
         twin._built = None
         return twin
@@ -653,6 +676,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         twin._parts, twin._contact = self._parts.copy(), self._contact.copy()
         twin._joints, twin._elements = self._joints.copy(), self._elements.copy()
         twin.settings, twin.compiled = dict(self.settings), None
+        twin._notes = self._notes.copy()
         return twin
 
     def __copy__(self) -> Scene:
@@ -685,7 +709,29 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         scene.q0, scene.v0, scene.settings = stored.q0, stored.v0, stored.settings
         scene._apart = stored.apart
         scene._camera = stored.camera
+        scene._notes.lost = "a scene that comes from a stored run or from pickle, which do not keep how it was made"
         return scene
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the scene as a scene file (contactvi.scene.toml), which loads back to an equal scene; return its path.
+
+        With its start, settings and camera. Paths are written relative to the file. What is written is read back and
+        compared, numbers to rounding, before the file is put in place.
+
+        Args:
+            path: of the file, whose name ends in .toml.
+            overwrite: whether a file of this name is replaced.
+
+        Raises:
+            SceneError: the scene has what no scene file holds, which the error names: functions, models and meshes that
+                were given as arrays, stored scenes.
+            OverwriteError: there is such a file. InputError: it cannot be written.
+        """
+        return save_scene(self, self._notes, path, overwrite)
+
+    def note(self, notes: Notes) -> None:
+        """Take the notes of a file from which the scene was read (for scene files)."""
+        self._notes = notes
 
     def restore(self, elements: ElementList, goals: Mapping[str, Any], surfaces: Mapping[str, FunctionSurface]) -> None:
         """Give a scene from data the elements, motions of servos and surfaces that data do not hold (for pickle)."""

@@ -7,17 +7,22 @@ from collections.abc import Callable, Sequence
 
 from numpy.typing import ArrayLike
 
+from contactvi.aliases import callers
 from contactvi.errors import UnusedSettingWarning
+from contactvi.keywords import refusing_methods
 from contactvi.scene.build import Built
 from contactvi.scene.compliance import Compliance
 from contactvi.scene.contact_laws import checked_contact
 from contactvi.scene.contact_rules import ContactRules
+from contactvi.scene.notes import noted
 from contactvi.scene.pairs import ENABLED_BY_USER, untested_reason
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Selector
 from contactvi.scene.surface_motion import SurfaceMotion
 
 
+@refusing_methods
+@noted
 class SceneContacts:
     """The methods of a scene that say what its contacts do, and which pairs of shapes are tested."""
 
@@ -99,7 +104,7 @@ class SceneContacts:
                 warnings.warn(
                     f"No pair of shapes uses the default {what} {value:g}: the files give their own. "
                     f"set_contact(part, {what}={value:g}) replaces that of a part",
-                    UnusedSettingWarning, stacklevel=2,
+                    UnusedSettingWarning, stacklevel=callers(),
                 )  # fmt: skip
             rule.set(first, second, value)
         for name, value in laws.items():
@@ -194,7 +199,7 @@ class SceneContacts:
             remedy = ". scene.enable_pair(a, b), called before, tests it" if reason in ENABLED_BY_USER else ""
             warnings.warn(
                 f"What is set for the contact of {first[0]!r} and {second[0]!r}{more} has no effect, because it is not "
-                f"tested: {reason}{remedy}", UnusedSettingWarning, stacklevel=3,
+                f"tested: {reason}{remedy}", UnusedSettingWarning, stacklevel=callers(),
             )  # fmt: skip
 
     def disable_pair(self, a: Selector, b: Selector) -> None:

@@ -20,14 +20,18 @@ from contactvi.elements.element import Element
 from contactvi.elements.forces import PathSpring, UserForce, UserPotential, Wrench
 from contactvi.errors import InputError
 from contactvi.inputs import flag, short
+from contactvi.keywords import refusing_methods
 from contactvi.scene.build import Built
 from contactvi.scene.driven import driven_by
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import one_number
+from contactvi.scene.notes import noted
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Selector
 
 
+@refusing_methods
+@noted
 class SceneElements:
     """The methods of a scene that add and remove elements (contactvi.elements).
 

@@ -17,6 +17,8 @@ from contactvi.importing import part as shapes
 from contactvi.importing.mesh_bodies import mesh_shapes, mesh_source, solid_inertia
 from contactvi.importing.part import Part, check_body_name, shape_part
 from contactvi.inputs import flag, pose
+from contactvi.keywords import refusing_methods
+from contactvi.scene.notes import noted
 from contactvi.scene.parts import Handle
 from contactvi.scene.selection import BodyHandle
 from contactvi.scene.surfaces import function_surface, with_surface
@@ -24,6 +26,8 @@ from contactvi.scene.surfaces import function_surface, with_surface
 SurfaceFunction = Callable[[NDArray[np.float64]], ArrayLike]
 
 
+@refusing_methods
+@noted
 class SceneShapes(ABC):
     """The methods of a scene that add a single body, free or fixed to the world."""
 

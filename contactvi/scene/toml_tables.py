@@ -7,9 +7,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from contactvi.errors import ContactviError, SceneError, did_you_mean
+from contactvi.errors import ContactviError, SceneError
+from contactvi.keywords import meant, synonym
 from contactvi.options import Options
 from contactvi.scene.contact_laws import CONTACT_SETTINGS
+from contactvi.words import in_lines
 
 _ENDS = ("a", "b")
 _POINTS = ("point_a", "point_b")
@@ -34,7 +36,7 @@ ELEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
-    "scene": ("title", "description", "gravity", "camera"),
+    "scene": ("title", "description", "gravity", "camera", "order"),
     "urdf": (
         "path",
         "base",
@@ -139,7 +141,7 @@ def _check_table(table: Mapping[str, Any], section: str, known: Iterable[str], f
                 path=file,
                 expected=" | ".join(known),
                 got=repr(key),
-                remedy=did_you_mean(key, known),
+                remedy=_meant(key, known),
             )
     for key in NEEDED.get(section, ()):
         if key not in table:
@@ -150,6 +152,16 @@ def _check_table(table: Mapping[str, Any], section: str, known: Iterable[str], f
                 got=", ".join(table) or "nothing",
                 remedy=f"Add {key} = ... to the entry",
             )
+
+
+def _meant(key: str, known: list[str]) -> str:
+    """Return the remedy for an unknown key: what others call a known one, its own table, or the nearest one."""
+    word = synonym(key)
+    if word not in known:
+        for section, keys in KEYS.items():
+            if word in keys and section in ("run", "contact", "scene", "initial"):
+                return f"Write it as {word} = ... under [{section}]"
+    return meant(key, known)
 
 
 class at:
@@ -164,7 +176,7 @@ class at:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, ContactviError):
-            error.what = f"{self.where}: {error.what}"
-            error.args = (f"{self.where}: {error}",)
+            error.expected, error.remedy = in_lines(str(error.expected)), in_lines(error.remedy)
+            error.put_in(self.where)
             if isinstance(error, SceneError) and error.path is None:
                 error.path = str(self.file)

@@ -7,6 +7,7 @@ length of the step, as a sensor that integrates would show them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError
+from contactvi.errors import InputError, SimulationError
+from contactvi.html import html_fields
 from contactvi.importing.kinematics import JointChains
 from contactvi.inputs import pose
 from contactvi.records.codes import GuardKind
@@ -52,20 +54,60 @@ class ContactReading:
     points: int
 
 
-class JointEncoder:
+class _Sensor(ABC):
+    """What sensors show of themselves: where they are, and what they read now, if they can.
+
+    Attributes:
+        where: the joint or body that they are on.
+    """
+
+    _simulator: Simulator
+    where: str
+
+    @abstractmethod
+    def _shown(self) -> dict[str, str]:
+        """Return what the sensor shows now, by name, with units; raises SimulationError before there is something."""
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        try:
+            read = ", ".join(f"{what} {value}" for what, value in self._shown().items())
+            return f"<{name} on {self.where!r} at t = {self._simulator.t:.9g} s: {read}>"
+        except SimulationError:
+            return f"<{name} on {self.where!r}: nothing to read before the first step>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: what the sensor reads now."""
+        title = f"{type(self).__name__} on {self.where}"
+        try:
+            return html_fields(title, {"t": f"{self._simulator.t:.9g} s", **self._shown()})
+        except SimulationError:
+            return html_fields(title, {"reads": "nothing before the first step"})
+
+
+def _numbers(values: Array, unit: str) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in values) + f") {unit}"
+
+
+class JointEncoder(_Sensor):
     """Reads a joint's value and velocity at the present time: JointEncoder(sim, "elbow").read()."""
 
     def __init__(self, simulator: Simulator, joint: Any) -> None:
         scene = _checked(simulator).scene
         self._simulator = simulator
+        self.where = scene.names.select_joint(joint)
         self._q, self._v = scene.q_index(joint), scene.v_index(joint)
 
     def read(self) -> EncoderReading:
         """Return what it shows now."""
         return EncoderReading(self._simulator.q[self._q], self._simulator.v[self._v])
 
+    def _shown(self) -> dict[str, str]:
+        found = self.read()
+        return {"q": _numbers(found.q, "rad or m"), "v": _numbers(found.v, "rad/s or m/s")}
 
-class Imu:
+
+class Imu(_Sensor):
     """Accelerometer and gyroscope on a body: Imu(sim, "torso", placement).read().
 
     Attributes:
@@ -80,6 +122,7 @@ class Imu:
     def __init__(self, simulator: Simulator, body: Any, placement: Any = None) -> None:
         self._simulator = _checked(simulator)
         self._model: pin.Model = simulator.scene.model
+        self.where = simulator.scene.names.select_body(body)
         joint, place = _frame(simulator, body)
         self._joint, self._place = np.array([joint], dtype=np.int64), place * pose("placement", placement)
 
@@ -94,6 +137,13 @@ class Imu:
         force = (after - before) / h - self._model.gravity.linear
         return ImuReading(middle.T @ force, end.T @ angular)
 
+    def _shown(self) -> dict[str, str]:
+        found = self.read()
+        return {
+            "specific force": _numbers(found.specific_force, "m/s²"),
+            "angular velocity": _numbers(found.angular_velocity, "rad/s"),
+        }
+
     def _motion(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return velocity and angular velocity of the sensor in world axes and its axes in the world."""
         (R,), _, (motion,) = map(np.asarray, self._simulator.scene.built().engine.model.motions(self._joint, q, v))
@@ -101,7 +151,7 @@ class Imu:
         return R @ (velocity + np.cross(spin, self._place.translation)), R @ spin, R @ self._place.rotation
 
 
-class ContactSensor:
+class ContactSensor(_Sensor):
     """Contact force and torque on a body, the mean over the last step: ContactSensor(sim, "foot").read().
 
     All shapes of the body count; joint limits do not. Needs a simulator with record_contacts=True (the default).
@@ -116,7 +166,7 @@ class ContactSensor:
         self._simulator = simulator
         self._joint, self._place = _frame(simulator, body)
         built = simulator.scene.built()
-        name = simulator.scene.names.select_body(body)
+        name = self.where = simulator.scene.names.select_body(body)
         frames = {k for k, frame in enumerate(built.model.frames) if frame.name == name}
         shapes = {g.name for g in built.collision.geometryObjects if g.parentFrame in frames}
         if not shapes:
@@ -142,6 +192,12 @@ class ContactSensor:
         moment = np.cross(log.position[chosen] - origin, impulse)
         h = sim.t - start
         return ContactReading(impulse.sum(axis=0) / h, moment.sum(axis=0) / h, len(chosen))
+
+    def _shown(self) -> dict[str, str]:
+        found = self.read()
+        return {
+            "force": _numbers(found.force, "N"), "torque": _numbers(found.torque, "N m"), "points": str(found.points)
+        }  # fmt: skip
 
     def _origin(self) -> Array:
         model = self._simulator.scene.model

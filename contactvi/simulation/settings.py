@@ -22,7 +22,7 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
     """
     checked_scene(scene)
     file, here = _plain(scene.settings), _plain(chosen)
-    if file is None or here is None:
+    if file is None or here is None or "tol" in scene.settings or chosen.get("tol") is not None:  # may warn each time
         return Options.from_dict(merged(scene.settings, chosen, forced))
     return _checked(file, here, forced)
 

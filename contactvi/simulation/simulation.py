@@ -20,6 +20,7 @@ from contactvi.errors import (
 )
 from contactvi.inputs import callback, check_signature, flag
 from contactvi.interrupts import CtrlC, held_back
+from contactvi.keywords import with_keywords
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.records.codes import Change
 from contactvi.simulation import adaptive
@@ -30,7 +31,7 @@ from contactvi.simulation.settings import settings_of
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.targets import by_steps
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import CompiledScene, compile_scene
+from contactvi.trajectory.compiled import CompiledScene, compile_scene, filled_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 # Of the largest free speed: what repaired answers in confined heaps leave is less.
@@ -46,6 +47,7 @@ Progress = Callable[[float, int], object]
 Control = Callable[[float, Array, Array], ArrayLike]
 
 
+@with_keywords(FurtherOptions)
 def simulate(
     scene: Scene,
     q0: ArrayLike | None = None,
@@ -56,6 +58,7 @@ def simulate(
     impact: ImpactMap | None = None,
     order: int | None = None,
     tol: float | None = None,
+    solver_tol: float | None = None,
     sample_dt: float | None = None,
     control: ArrayLike | Control | None = None,
     target: Any = None,
@@ -77,10 +80,11 @@ def simulate(
             by steps, "dtec", order 2, record_every, or tolerances on the discrete energy or on jumps of the modified
             one.
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
-        tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
+        tol: the accuracy asked of q, for "auto" [m, rad]; by default 1e-6.
+        solver_tol: for a number as dt what the equations of a step are solved to, relative; by default 1e-12.
         sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.
         impact: the impact map, see `Options`.
-        **options: mhc_reference, record_every, dense, ...: see `Options`.
+        **options: as of `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
             nv), one of shape (nv,) for all steps, or a function (t, q, v) -> (nv,) called at the start of each step.
         target: reference of the servos (Scene.set_servo): an array or a function of t, one number per servo joint, or
@@ -109,9 +113,10 @@ def simulate(
     """
     chosen: dict[str, Any] = {
         **options, "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
-        "sample_dt": sample_dt, "ledger": ledger,
+        "solver_tol": solver_tol, "sample_dt": sample_dt, "ledger": ledger,
     }  # fmt: skip
     throw = flag("throw", throw)
+    filled_scene(scene)
     settings = settings_of(scene, chosen, forced=control is not None or by_steps(target))
     if settings.last_steps is not None:
         raise InputError(

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import ConstraintError, InputError, SceneError, SimulationError
 from contactvi.inputs import MOST_STEPS, callback, short
 from contactvi.interrupts import held_back
+from contactvi.keywords import with_keywords
 from contactvi.options import Options, SteppingOptions
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
@@ -27,7 +28,7 @@ from contactvi.simulation.run import Run
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.snapshot import Snapshot
 from contactvi.status import Status
-from contactvi.trajectory.compiled import CompiledScene, checked_scene, compile_scene
+from contactvi.trajectory.compiled import CompiledScene, compile_scene, filled_scene
 from contactvi.trajectory.coupled_reactions import with_coupled
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -60,11 +61,12 @@ class Simulator(PresentDynamics):
     SimulationError. The motion has the same digits with each.
     """
 
+    @with_keywords(SteppingOptions)
     def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
-        if dt is None and checked_scene(scene).settings.get("dt") is None:
+        if dt is None and filled_scene(scene).settings.get("dt") is None:
             settings = Options.from_dict({**scene.settings, **options})  # raises: there is no time step
         else:
-            settings = settings_of(scene, dict(options, dt=dt))
+            settings = settings_of(filled_scene(scene), dict(options, dt=dt))
         settings.require_fixed()
         self.options = settings
         self._scene = compile_scene(scene)

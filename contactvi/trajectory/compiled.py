@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import inspect
 import threading
 import warnings
 from functools import cached_property
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.aliases import callers
 from contactvi.elements.forces import UserForce, UserPotential
 from contactvi.errors import (
     ConstraintError,
@@ -124,7 +124,7 @@ class CompiledScene:
         warnings.warn(
             f"Not tested for contact, because they overlap in the start as in neutral: {listed}{more}."
             " Start where they are apart, or move what you have added; scene.disable_pair(a, b) says that it is meant",
-            UntestedPairWarning, stacklevel=_callers(),
+            UntestedPairWarning, stacklevel=callers(),
         )  # fmt: skip
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -303,14 +303,6 @@ class CompiledScene:
                     check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
 
 
-def _callers() -> int:
-    """Return the stack level, for warnings of the caller, of the first function that is not of contactvi."""
-    frame, level = inspect.currentframe(), 0
-    while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "contactvi":
-        frame, level = frame.f_back, level + 1
-    return level
-
-
 def _refuse_missing(scene: Scene) -> None:
     missing = scene.missing
     if missing:
@@ -331,6 +323,18 @@ def checked_scene(scene: Any) -> Scene:
             remedy="Make one with contactvi.Scene() or contactvi.load_scene(path)",
         )  # fmt: skip
     return scene
+
+
+def filled_scene(scene: Any) -> Scene:
+    """Return a scene with something in it; raise InputError for an empty one, whose run would tell nothing."""
+    checked = checked_scene(scene)
+    if checked.parts or checked.nv:
+        return checked
+    raise InputError(
+        "The scene is empty", name="scene", expected="at least one body", got="no parts",
+        remedy='Add some: scene.add_sphere("ball", radius=0.1, placement=(0, 0, 1)), scene.add_urdf(path), ...;'
+        " scene.add_halfspace() is the ground",
+    )  # fmt: skip
 
 
 def compile_scene(scene: Scene) -> CompiledScene:

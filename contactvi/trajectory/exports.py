@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, missing_package
-from contactvi.files import checked_path, write_atomic
+from contactvi.files import check_free, checked_path, write_atomic
 from contactvi.inputs import listed
 from contactvi.records.table import Table
 from contactvi.scene.coordinates import coordinates
@@ -95,7 +95,12 @@ class Exports:
         return to_xarray(self)
 
     def to_csv(
-        self: _Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None, sample_dt: float | None = None
+        self: _Run,
+        folder: str | os.PathLike[str],
+        names: Sequence[str] | None = None,
+        sample_dt: float | None = None,
+        *,
+        overwrite: bool = False,
     ) -> list[Path]:
         """Write tables of the run as folder/NAME.csv, and their units as folder/units.csv; return the paths.
 
@@ -104,28 +109,36 @@ class Exports:
             names: of the tables (contactvi.trajectory.tables), by default all that have rows, "forces" with sample_dt
                 alone: it has columns for every pair.
             sample_dt: length of the windows of "forces" [s], by default the times between the nodes.
+            overwrite: whether tables that are there are replaced.
 
         Raises:
+            OverwriteError: one of the files is there, without `overwrite`; none is written then.
             InputError: unknown table, or a folder or file that cannot be written.
         """
-        return write_csv(self, folder, names, sample_dt)
+        return write_csv(self, folder, names, sample_dt, overwrite)
 
 
 def write_csv(
-    traj: Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None, sample_dt: float | None = None
+    traj: Run,
+    folder: str | os.PathLike[str],
+    names: Sequence[str] | None = None,
+    sample_dt: float | None = None,
+    overwrite: bool = False,
 ) -> list[Path]:
     """Write tables of a run as NAME.csv, and their units as units.csv; return the paths. See Trajectory.to_csv.
 
     Raises:
-        InputError: unknown table, or a folder that cannot be made.
+        InputError: unknown table, or a folder that cannot be made. OverwriteError: as there.
     """
     usual = [name for name in TABLES if name != "forces" or sample_dt is not None]
     chosen = usual if names is None else listed("names", names, "names of tables")
     wanted = [table(traj, name, sample_dt if name == "forces" else None) for name in chosen]
     wanted = [found for found in wanted if len(found) or names is not None]
     folder = made_folder(folder)
-    written = [write_atomic(folder / f"{found.name}.csv", found.write_csv) for found in wanted]
-    return [*written, write_atomic(folder / "units.csv", lambda file: _write_units(file, wanted))]
+    for name in (*(found.name for found in wanted), "units"):
+        check_free(folder / f"{name}.csv", overwrite)
+    written = [write_atomic(folder / f"{found.name}.csv", found.write_csv, overwrite) for found in wanted]
+    return [*written, write_atomic(folder / "units.csv", lambda file: _write_units(file, wanted), overwrite)]
 
 
 def made_folder(folder: str | os.PathLike[str]) -> Path:

@@ -50,6 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.aliases import alias
+from contactvi.html import html_table
 from contactvi.options import Options
 from contactvi.records.codes import METHODS, Fallback
 from contactvi.records.contacts import ContactLog
@@ -126,7 +127,18 @@ class Ledger:
         return self._constrained and implicit and (friction or self._run.options.record == "gradient")
 
     def __repr__(self) -> str:
-        return f"<Ledger: {len(self.t)} nodes, {len(self.events)} impacts>"
+        dense = f", {len(self.dense_steps)} dense steps" if len(self.dense_steps) else ""
+        return f"<Ledger: {len(self.t)} nodes, {len(self.events)} impacts{dense}>"
+
+    def __str__(self) -> str:
+        rows = [f"  {name:24} {value:10.3g} {unit}" for name, value, unit in deviations(self)]
+        return "\n".join([f"Ledger of {len(self.t)} nodes and {len(self.events)} impacts, largest deviations:", *rows])
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the largest deviation of what should be conserved, by name."""
+        rows = [(name, f"{value:.3g}", unit) for name, value, unit in deviations(self)]
+        title = f"Ledger of {len(self.t)} nodes and {len(self.events)} impacts"
+        return html_table(title, ("largest deviation of", "is", "unit"), rows)
 
     # -- per node ------------------------------------------------------------------------------------------------------
 
@@ -401,3 +413,24 @@ class Ledger:
     def _after(self) -> tuple[Array, Array, Array, Array]:
         """The rest of the step after each impact, see `RemadeSteps.after`."""
         return self._steps.after(self.events.array("q"), self.events.array("p_plus"), self.events.array("after"))
+
+
+def deviations(ledger: Ledger) -> list[tuple[str, float, str]]:
+    """Return (name, largest deviation, unit) of what should be conserved.
+
+    The names are those of the tolerances of a run (`simulate(ledger=)`), whose energies are relative there.
+    """
+    found = [("energy_balance", _most(ledger.energy_balance), "J"), ("energy_rise", _most(ledger.energy_rise), "J")]
+    found.append(("constraint residual", _most(ledger.constraint_residual), "m, rad"))
+    if len(ledger.events):
+        found += [("own_jump", _most(ledger.own_jump), "J"), ("gap", _most(ledger.gap), "m, rad")]
+        found.append(("complementarity", _most(ledger.complementarity), "N m s"))
+    if len(ledger.dense_steps):
+        found.append(("dense_residual", _most(ledger.dense_residual), "of the largest free speed"))
+    return found
+
+
+def _most(values: Array) -> float:
+    """Return the largest absolute value that is known; NaN where none is."""
+    known = np.abs(values[np.isfinite(values)])
+    return float(known.max()) if len(known) else float("nan")

@@ -101,23 +101,24 @@ def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
     return force_figure(traj, by)
 
 
-def save_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
-    """Write the figure of `plot` as a PNG file, whole or not at all; return its path."""
-    return _save(plot(traj), path)
+def save_plot(traj: Trajectory, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """Write the figure of `plot` as a PNG or SVG file, whole or not at all; return its path."""
+    return _save(plot(traj), path, overwrite)
 
 
-def save_state_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
-    """Write the figure of `plot_states` as a PNG file, whole or not at all; return its path."""
-    return _save(plot_states(traj), path)
+def save_state_plot(traj: Trajectory, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """Write the figure of `plot_states` as a PNG or SVG file, whole or not at all; return its path."""
+    return _save(plot_states(traj), path, overwrite)
 
 
-def save_force_plot(traj: Trajectory, path: str | os.PathLike[str], by: str = "pair") -> Path:
-    """Write the figure of `plot_forces` as a PNG file, whole or not at all; return its path."""
-    return _save(plot_forces(traj, by), path)
+def save_force_plot(traj: Trajectory, path: str | os.PathLike[str], by: str = "pair", overwrite: bool = False) -> Path:
+    """Write the figure of `plot_forces` as a PNG or SVG file, whole or not at all; return its path."""
+    return _save(plot_forces(traj, by), path, overwrite)
 
 
-def _save(figure: Figure, path: str | os.PathLike[str]) -> Path:
-    return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))
+def _save(figure: Figure, path: str | os.PathLike[str], overwrite: bool) -> Path:
+    kind = "svg" if Path(path).suffix.lower() == ".svg" else "png"
+    return write_atomic(path, lambda file: figure.savefig(file, format=kind, dpi=130), overwrite)
 
 
 def _impacts(traj: Trajectory) -> list[Instants]:

@@ -137,7 +137,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, SceneError
-from contactvi.files import UNREADABLE, as_a_path, checked_path, write_atomic
+from contactvi.files import UNREADABLE, as_a_path, check_free, checked_path, told, write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
 from contactvi.records.contacts import ChangeLog, ContactLog
@@ -145,6 +145,7 @@ from contactvi.records.dense_steps import DenseSteps
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
 from contactvi.records.work import Forces
+from contactvi.scene.fingerprint import fingerprint
 from contactvi.scene.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory.entry_reader import PHASES, Entries, EntryReader, of_a_run, refuse, stored_name
@@ -196,13 +197,20 @@ class Run(Protocol):
     def visuals(self) -> list[Visual]: ...
 
 
-def save(traj: Run, path: str | os.PathLike[str]) -> Path:
-    """Write `traj` to `path` atomically; return the path. v, energies and gaps are computed if they were not."""
+def save(traj: Run, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """Write `traj` to `path` atomically; return the path. v, energies and gaps are computed if they were not.
+
+    Raises:
+        OverwriteError: there is such a file, without `overwrite`.
+    """
+    check_free(path, overwrite)
     arrays: list[NDArray[Any]] = []
     gap_time, gap_pairs, gap_value = traj.gaps
+    scene = traj.scene.to_dict()
     header = {
         "format": FORMAT,
         "schema": SCHEMA,
+        "fingerprint": fingerprint(scene),
         "version": version(),
         "options": traj.options.to_dict(),
         "status": {"code": int(traj.status.code), "message": traj.status.message, "time": traj.status.time},
@@ -214,7 +222,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "joint_names": list(traj.scene.model.names),
         "gap_pairs": gap_pairs,
         "constraints": [] if traj.forces is None else [list(row) for row in traj.all_forces().constraints],
-        "scene": traj.scene.to_dict(),
+        "scene": scene,
         "visuals": [visual.to_dict() for visual in traj.visuals],
     }
     text = json.dumps(_pack(header, arrays, {}))
@@ -234,7 +242,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     if traj.inputs is not None:
         entries |= {f"input/{name}": values for name, values in traj.inputs.stored().items()}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
-    return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
+    return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries), overwrite)
 
 
 def _segment_entries(segments: Segments | SegmentsApart) -> dict[str, NDArray[Any]]:
@@ -268,7 +276,7 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
         with file:
             entries = {name: file[name] for name in file.files}
     except (*UNREADABLE, pickle.UnpicklingError) as error:
-        refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
+        refuse(path, told(error), error)
     header = _read_header(path, entries)
     try:
         return _build(path, entries, _unpack(header, entries))
@@ -278,6 +286,16 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
         refuse(path, str(error).rstrip("."), error)
     except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
         refuse(path, f"{type(error).__name__}: {error}", error)
+
+
+def stored_fingerprint(path: Path) -> str | None:
+    """Return the fingerprint of the scene of a stored run, None for a file that is none, or tells none."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header = json.loads(str(file["header"]))
+        return str(header["fingerprint"]) if header["format"] == FORMAT else None
+    except (*UNREADABLE, pickle.UnpicklingError, TypeError, AttributeError, RecursionError):
+        return None
 
 
 def _check_size(path: Path) -> None:
@@ -315,7 +333,7 @@ def _read_header(path: Path, entries: Entries) -> dict[str, Any]:
 def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, Any]:
     scene = Scene.from_dict(header["scene"])
     sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
-    options = Options.from_dict(header["options"])
+    options = Options.from_stored(header["options"])
     read = EntryReader(path, entries, sizes)
     nodes = read.nodes(_stored_nodes(options))
     t = nodes.pop("t")

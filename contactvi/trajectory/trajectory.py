@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.aliases import alias, renamed_arguments
 from contactvi.errors import InputError
+from contactvi.keywords import Passed
 from contactvi.options import Options
 from contactvi.records.codes import STEP_KINDS
 from contactvi.records.compliant_contacts import CompliantContacts, compliant_contacts
@@ -35,6 +36,8 @@ from contactvi.trajectory.stepping import stepping_of
 
 if TYPE_CHECKING:
     from contactvi import _core
+    from contactvi.playback.page import write_html
+    from contactvi.playback.render import render as draw
     from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
     from contactvi.scene.separation import Separation
@@ -73,7 +76,8 @@ class Trajectory(Exports):
         adaptive_steps: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths
             [s]; else None.
         error_estimate: with dt="auto", the measured error of q over the run [m, rad]
-            (contactvi.simulation.auto_search); else NaN.
+            (contactvi.simulation.auto_search); NaN where nothing was asked, with a number as dt, and of a run that was
+            interrupted or ended where it started.
         separation: with start="separate", what was moved of the start that was given (contactvi.Separation); else None,
             and in runs that are read from files.
 
@@ -419,11 +423,15 @@ class Trajectory(Exports):
     def _within(self, times: ArrayLike) -> Array:
         return times_within(times, float(self.t[0]), float(self.t[-1]))
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path."""
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path.
+
+        Raises:
+            OverwriteError: there is such a file, without `overwrite`. InputError: a path that cannot be written.
+        """
         from contactvi.trajectory.storage import save
 
-        return save(self, path)
+        return save(self, path, overwrite)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -432,28 +440,11 @@ class Trajectory(Exports):
 
         return cls(**load(path))
 
-    def to_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Write a self-contained page that plays the run; return its path.
-
-        options: fps, title, play, forces, camera (contactvi.playback.page.write_html).
-        """
-        from contactvi.playback.keywords import check_keywords
-        from contactvi.playback.page import write_html
-
-        check_keywords(write_html, options, "to_html")
-        return write_html(self, path, **options)
-
-    def render(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Draw the run into a .gif, .mp4 or .png; return its path.
-
-        options: at (the time of a .png [s]), start, end, fps, speed (of a film), camera, size, forces
-        (contactvi.playback.render.render).
-        """
-        from contactvi.playback.keywords import check_keywords
-        from contactvi.playback.render import render
-
-        check_keywords(render, options, "render")
-        return render(self, path, **options)
+    if TYPE_CHECKING:
+        to_html, render = write_html, draw
+    else:
+        to_html = Passed("contactvi.playback.page", "write_html")
+        render = Passed("contactvi.playback.render", "render")
 
     def _engine(self) -> _core.Scene:
         if self._core is None:

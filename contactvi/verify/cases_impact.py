@@ -66,7 +66,7 @@ def bouncing_ball(runs: Runs) -> list[Check]:
 def dtec_ball(runs: Runs) -> list[Check]:
     """Closed form of the midpoint rule: dH = m g^2 h (r - a) / 8 at an impact, a of the step before and r after it."""
     scene, h = systems.ball_over_ground(1.0), 0.01
-    traj = runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 10.0, h, impact="dtec", tol=1e-14)
+    traj = runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 10.0, h, impact="dtec", solver_tol=1e-14)
     events = traj.events
     a, r = events.array("before"), events.array("after")
     minus, plus = events.array("p_minus")[:, 2], events.array("p_plus")[:, 2]
@@ -84,7 +84,9 @@ def mhc_ball(runs: Runs) -> list[Check]:
     """On a ball under gravity MHC is CTEC: the modified energy differs from the energy by a constant."""
     scene = systems.ball_over_ground(1.0)
     found: dict[str, Trajectory] = {
-        name: runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 20.0, 0.01, impact=name, tol=1e-14)
+        name: runs.simulate(
+            scene, systems.at_height(scene, 1.1), np.zeros(6), 20.0, 0.01, impact=name, solver_tol=1e-14
+        )
         for name in ("ctec", "mhc")
     }
     mhc, ctec = found["mhc"].events, found["ctec"].events

@@ -93,9 +93,11 @@ def test_what_is_not_replaced_or_read(tmp_path):
     with pytest.raises(cvi.SceneError, match="cannot be read"):
         cvi.load_batch(tmp_path / "text")
     stored = cvi.simulate_batch(scene, q, v, path=tmp_path / "a", **SETTINGS)
-    for wrong in (0, slice(3, 2), slice(0, 1, 2), "a"):
+    for wrong in (slice(3, 2), [], "a"):
         with pytest.raises(cvi.InputError, match="no runs"):
             stored[wrong]
+    with pytest.raises(cvi.InputError, match="were not kept"):
+        stored[0]
     cut(tmp_path / "a", tmp_path / "cut")
     with pytest.raises(cvi.SceneError, match="one after the other"):
         cvi.load_batch(tmp_path / "cut")
@@ -107,6 +109,19 @@ def cut(path: Path, to: Path) -> None:
         less.writestr("header.npy", archive.read("header.npy"))
 
 
+def test_a_file_that_is_there_is_refused_before_the_first_run(tmp_path):
+    scene, q, v = at_wall()
+    (tmp_path / "a").write_bytes(b"precious")
+
+    def never(made: int, of: int) -> None:
+        raise AssertionError("a run was made")
+
+    with pytest.raises(cvi.OverwriteError, match="overwrite=True"):
+        cvi.simulate_batch(scene, q, v, path=tmp_path / "a", progress=never, **SETTINGS)
+    assert (tmp_path / "a").read_bytes() == b"precious"
+    assert len(cvi.simulate_batch(scene, q, v, path=tmp_path / "a", overwrite=True, **SETTINGS)) == 1
+
+
 def test_a_batch_that_ends_leaves_the_file_that_was_there(tmp_path):
     scene, q, v = at_wall()
     cvi.simulate_batch(scene, q, v, path=tmp_path / "a", **SETTINGS)
@@ -116,7 +131,9 @@ def test_a_batch_that_ends_leaves_the_file_that_was_there(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        cvi.simulate_batch(scene, q, v, dt=1e-6, duration=100.0, record_every=1000, path=tmp_path / "a", progress=stop)
+        cvi.simulate_batch(
+            scene, q, v, dt=1e-6, duration=100.0, record_every=1000, path=tmp_path / "a", overwrite=True, progress=stop
+        )
     assert (tmp_path / "a").read_bytes() == before
     assert os.listdir(tmp_path) == ["a"]
 

@@ -6,6 +6,7 @@ import copy
 import multiprocessing
 import os
 import pickle
+import sys
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from helpers.extras import extra
 from helpers.rollout_scenes import MODELS, at_wall, servo_arm, starts, thrown_box
 
 SETTINGS: dict[str, Any] = {"dt": 0.01, "duration": 0.7}
@@ -132,3 +134,79 @@ def test_dask_goes_on_when_a_worker_is_killed():
         found = cvi.simulate_batch(scene, qs, v, executor=client.get_executor(), progress=kill, **settings)
     assert not victims
     assert found.q.tobytes() == whole.q.tobytes()
+
+
+# -- other people's executors, each with two workers that are processes of their own -----------------------------------
+
+
+class RayExecutor(Executor):
+    """As in docs/guide.md."""
+
+    def __init__(self, ray: Any) -> None:
+        self._ray = ray
+
+    def submit(self, call: Any, /, *args: Any, **named: Any) -> Future[Any]:
+        return self._ray.remote(call).remote(*args, **named).future()
+
+
+class Watched(Executor):
+    """Notes which processes have made the calls."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner, self.processes = inner, set[int]()
+
+    def submit(self, call: Any, /, *args: Any, **named: Any) -> Future[Any]:
+        outer: Future[Any] = Future()
+
+        def done(inner: Any) -> None:
+            try:
+                process, result = inner.result()
+                self.processes.add(process)
+                outer.set_result(result)
+            except BaseException as error:  # of the transport
+                outer.set_exception(error)
+
+        self.inner.submit(with_process, call, *args, **named).add_done_callback(done)
+        return outer
+
+
+def with_process(call: Any, *args: Any, **named: Any) -> tuple[int, Any]:
+    return os.getpid(), call(*args, **named)
+
+
+def check_two_workers(executor: Any, tmp_path: Any) -> None:
+    """Both workers make chunks, with the bits of this process, into a file as into memory."""
+    scene, q, v = at_wall()
+    qs = starts(q, 200) % 0.3
+    settings = {"dt": 1e-3, "duration": 1.0}
+    whole = cvi.simulate_batch(scene, qs, v, **settings)
+    watched = Watched(executor)
+    found = cvi.simulate_batch(scene, qs, v, executor=watched, workers=4, **settings)
+    file = {"path": tmp_path / "runs", "resume": True}
+    stored = cvi.simulate_batch(scene, qs, v, executor=watched, workers=4, **file, **settings)
+    assert len(watched.processes) == 2
+    assert os.getpid() not in watched.processes
+    for result in (found, stored):
+        assert result.ok.all()
+        assert result.q[:, -1].tobytes() == whole.q[:, -1].tobytes()
+
+
+@pytest.mark.slow
+def test_ray_makes_runs_on_two_workers(tmp_path, monkeypatch):
+    ray = extra("ray")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # workers find what this process finds
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        check_two_workers(RayExecutor(ray), tmp_path)
+    finally:
+        ray.shutdown()
+
+
+@pytest.mark.slow
+def test_dask_makes_runs_on_two_workers(tmp_path):
+    distributed = extra("distributed")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        check_two_workers(client.get_executor(), tmp_path)

@@ -24,7 +24,7 @@ OK, WRONG_INPUT, ENDED_EARLY = 0, 2, 3
 
 
 def test_run_writes_everything(command, tmp_path):
-    result = command("run", ball_file(tmp_path), "-o", "out")
+    result = command("run", ball_file(tmp_path), "-o", "out", "--plot")
     assert result.exit_code == OK
     assert sorted(path.name for path in Path("out").iterdir()) == ["energy.png", "playback.html", "trajectory.npz"]
     texts = ("SUCCESS", "1 s simulated in 100 steps", "order 2, dt = 0.01 s", "impacts 1", "x real time")
@@ -37,17 +37,80 @@ def test_run_writes_everything(command, tmp_path):
     assert Path("out/energy.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_command_line_starts_without_the_engine_and_pinocchio():
+    code = "import sys, contactvi.commands.cli; print({'pinocchio', 'coal', 'matplotlib'} & set(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "set()"
+
+
+def test_plots_are_drawn_when_they_are_asked_for(command, tmp_path):
+    """A run does not load what draws them; `plot` draws them beside the run, anew where they are there."""
+    code = (
+        "import sys; from contactvi.commands.cli import app\n"
+        f"try: app(['run', {str(ball_file(tmp_path))!r}, '-o', 'out'])\n"
+        "except SystemExit as end: print('matplotlib' in sys.modules, end.code)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "False 0"
+    assert "contactvi plot out" in run.stdout
+    assert sorted(path.name for path in Path("out").iterdir()) == ["playback.html", "trajectory.npz"]
+    for _ in range(2):
+        assert command("plot", "out", "--no-browser").exit_code == OK
+        assert Path("out/energy.png").read_bytes().startswith(b"\x89PNG")
+    assert not Path("out/forces.png").exists()  # nothing persists
+    assert command("plot", "out/trajectory.npz", "--no-browser", "--format", "svg", "-o", "there").exit_code == OK
+    assert "<svg" in Path("there/energy.svg").read_text()
+    reported(command("plot", "out", "--no-browser", "--format", "svg", "-o", "there"), "--force")
+    reported(command("plot", "out", "--no-browser", "--format", "gif"), "'png' | 'svg'")
+    reported(command("plot", "none"), "no such file")
+
+
+def test_the_folder_of_a_run_is_reused_by_its_scene_alone(command, tmp_path):
+    """Settings may differ; another scene needs --force, and so do results that no run of ours has made."""
+    scene = ball_file(tmp_path)
+    quick = ("-o", "out", "--no-html", "--no-plot")
+    assert command("run", scene, *quick).exit_code == OK
+    assert command("run", scene, "--dt", 5e-3, "--duration", 0.5, *quick).exit_code == OK
+    before = Path("out/trajectory.npz").read_bytes()
+    assert cvi.Trajectory.load("out/trajectory.npz").options.dt == 5e-3
+    other = tmp_path / "other.toml"
+    other.write_text(Path(scene).read_text() + '\n[[sphere]]\nname = "more"\nradius = 0.1\nxyz = [2.0, 0.0, 3.0]\n')
+    result = command("run", other, *quick)
+    reported(result, "--force")
+    assert "trajectory.npz" in result.stderr
+    assert Path("out/trajectory.npz").read_bytes() == before
+    assert command("run", other, *quick, "--force").exit_code == OK
+    assert cvi.Trajectory.load("out/trajectory.npz").q.shape[1] == 14
+    Path("mine").mkdir()
+    Path("mine/energy.png").write_text("drawn by hand")
+    reported(command("run", scene, "-o", "mine"), "energy.png")
+    assert Path("mine/energy.png").read_text() == "drawn by hand"
+
+
+def test_commands_that_write_beside_a_run_replace_its_page_alone(command, tmp_path):
+    cvi.simulate(cvi.load_scene(ball_file(tmp_path)), duration=0.1).save("run.npz")
+    assert command("play", "run.npz", "--no-browser").exit_code == OK
+    assert command("play", "run.npz", "--no-browser").exit_code == OK  # its own page
+    Path("run.html").write_text("<html>mine</html>")
+    reported(command("play", "run.npz", "--no-browser"), "--force")
+    assert command("play", "run.npz", "--no-browser", "--force").exit_code == OK
+    assert command("export", "run.npz").exit_code == OK
+    reported(command("export", "run.npz"), "--force")
+    assert command("export", "run.npz", "--force").exit_code == OK
+
+
 def test_run_with_other_settings(command, tmp_path):
-    settings = ("--dt", 5e-3, "--duration", 0.5, "--record-every", 10, "--impact", "ctec", "--order", 2, "--tol", 1e-10)
+    settings = ("--dt", 5e-3, "--duration", 0.5, "--record-every", 10, "--impact", "ctec", "--order", 2)
+    settings += ("--solver-tol", 1e-10)
     result = command("run", ball_file(tmp_path), *settings, "--no-html", "--no-plot")
     assert result.exit_code == OK
     assert [path.name for path in Path("ball").iterdir()] == ["trajectory.npz"]  # the folder has the scene's name
     options = cvi.Trajectory.load("ball/trajectory.npz").options
-    assert options == cvi.Options(dt=5e-3, duration=0.5, record_every=10, tol=1e-10)
+    assert options == cvi.Options(dt=5e-3, duration=0.5, record_every=10, solver_tol=1e-10)
 
 
 def test_run_that_ends_early(command, tmp_path):
-    result = command("run", ball_file(tmp_path, restitution=0.5, duration=3.0), "-o", "out", "--zeno", "end")
+    result = command("run", ball_file(tmp_path, restitution=0.5, duration=3.0), "-o", "out", "--zeno", "end", "--plot")
     assert result.exit_code == ENDED_EARLY
     assert "ended early: ZENO" in result.stderr
     assert "'ball' and 'ground' accumulate" in result.stderr
@@ -100,7 +163,7 @@ def test_wrong_input_of_run(command, tmp_path):
     reported(command("run", scene, "--dt", -1), "dt is not usable", "-1.0")
     reported(command("run", scene, "--impact", "mch"), "Did you mean 'mhc'", "remedy:")
     reported(command("run", scene, "--impact", "mhc", "--mhc-reference", "start"), "'local' | 'global'")
-    reported(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use duration=")
+    reported(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use --duration 1.01")
     reported(command("run", scene, "--fps", 0, "-o", "out"), "fps")
     (tmp_path / "file").write_text("")
     reported(command("run", scene, "-o", "file/out"), "Cannot make the folder")

@@ -88,7 +88,7 @@ def test_the_srdf_says_that_the_base_floats(command):
     arm = ARM.replace('<link name="base"/>', link("base"))
     arguments = write("arm.urdf", arm), "--srdf", write("arm.srdf", FLOATING), "--duration", 0.1
     assert "base free, as the virtual joint of the SRDF says" in run(command, *arguments)[0]
-    assert "base fixed, as --base says" in run(command, *arguments, "--base", "fixed")[0]
+    assert "base fixed, as --base says" in run(command, *arguments, "--base", "fixed", "--force")[0]
 
 
 MJCF = """<mujoco><option gravity="0 0 -5"/><worldbody>{floor}<body name="ball" pos="0 0 {height}"><freejoint/>
@@ -186,7 +186,9 @@ def test_a_scene_file_of_a_name_with_quotes(tmp_path, monkeypatch):
     folder.mkdir()
     write(str(folder / "m.urdf"), BRICK)
     found = model_scene(str((folder / "m.urdf").relative_to(tmp_path)), Choice(base="free"))
-    saved = found.save(Path("s.toml"), {"dt": None, "order": 4})
+    saved = found.save(Path("s.toml"), {"dt": None, "order": 4}, overwrite=False)
+    with pytest.raises(cvi.OverwriteError):
+        found.save(Path("s.toml"), {}, overwrite=False)
     scene = cvi.load_scene(saved)
     assert scene.settings == {"dt": 1e-3, "duration": 2.0, "order": 4}
     np.testing.assert_array_equal(scene.q0, found.scene.q0)
@@ -237,6 +239,6 @@ def test_a_start_with_overlaps_is_moved_apart_and_told(command):
     assert traj.q[0, 2] == pytest.approx(0.1, abs=1e-12)
     assert command("run", "s.toml", "-o", "again", "--no-html", "--no-plot").exit_code == OK
     np.testing.assert_array_equal(cvi.Trajectory.load("again/trajectory.npz").q, traj.q)
-    text, traj = run(command, write("deep.xml", SUNK.replace(".098", ".08")), "--duration", 0.1)
+    text, traj = run(command, write("deep.xml", SUNK.replace(".098", ".08")), "--duration", 0.1, "--force")
     assert "0.05 m below the lowest shape" in text
     assert "overlap" not in text

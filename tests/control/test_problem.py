@@ -143,7 +143,7 @@ def test_second_derivatives():
 
     problem = Problem(
         scene, 0.5, 1e-2, q0=[0.0, 0.6], v0=[0.1, 0.2], inputs=inputs, free_q0="*", free_v0="*", cost=cost, hessp=hessp,
-        input_cost=quadratic(0.1), tol=1e-14,
+        input_cost=quadratic(0.1), solver_tol=1e-14,
     )  # fmt: skip
     z, w = problem.z0 + 0.01, np.random.default_rng(2).uniform(-1, 1, len(problem.z0))
     assert len(problem.evaluate(z).trajectory.events) == 1

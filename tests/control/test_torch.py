@@ -40,7 +40,11 @@ def test_gradients_in_forces():
     scene, q, v = at_wall()
     control = tensor(np.zeros((35, 2)))
     assert torch.autograd.gradcheck(
-        lambda u: end(rollout(scene, q, v, u, dt=0.02, order=4, tol=1e-14)), (control,), eps=1e-5, atol=1e-7, rtol=1e-6
+        lambda u: end(rollout(scene, q, v, u, dt=0.02, order=4, solver_tol=1e-14)),
+        (control,),
+        eps=1e-5,
+        atol=1e-7,
+        rtol=1e-6,
     )
 
 
@@ -61,7 +65,10 @@ def test_gradients_in_targets():
     scene, q, v = servo_arm()
     target = tensor(np.tile([0.6, 0.1], (STEPS // 2, 1)))
     assert torch.autograd.gradcheck(
-        lambda r: end(rollout(scene, q, v, target=r, dt=0.02, order=4, tol=1e-14)), (target,), eps=1e-4, atol=1e-7
+        lambda r: end(rollout(scene, q, v, target=r, dt=0.02, order=4, solver_tol=1e-14)),
+        (target,),
+        eps=1e-4,
+        atol=1e-7,
     )
 
 

@@ -105,7 +105,7 @@ def test_derivatives_against_differences(family, state):
     else:
         scene, rng = tree(3) if family == "mixed tree" else chain(FAMILIES[family], 5)
     q, v = state_of(scene, rng)[:2]
-    system = DiscreteSystem(scene, dt=0.02, steps=1, state=state, order=4, tol=1e-14)
+    system = DiscreteSystem(scene, dt=0.02, steps=1, state=state, order=4, solver_tol=1e-14)
     x, u = system.build_state(q, v=v), rng.standard_normal(system.nU)
     for name in CHECKS:
         found = getattr(system, f"check_{name}")(x, u, 0)
@@ -138,7 +138,7 @@ def test_derivatives_of_mass_against_differences(monkeypatch: pytest.MonkeyPatch
 
 def test_treps_tensors():
     """All of trep's first and second derivatives of the damped double pendulum, from an oracle in Decimal."""
-    system = DiscreteSystem(pendulum(), dt=STEP["h"], steps=1, tol=1e-15)
+    system = DiscreteSystem(pendulum(), dt=STEP["h"], steps=1, solver_tol=1e-15)
     x, u = np.array(STEP["q0"] + STEP["p0"]), np.array(STEP["tau"])
     system.set(x, u, 0)
     tensors = derivative_trep.derivatives(derivative_step.PENDULUM, STEP)
@@ -166,9 +166,9 @@ def test_fdx_is_symplectic_in_momenta(order):
 def near_impact(state: str, order: int = 2) -> tuple[DiscreteSystem, np.ndarray, np.ndarray, int]:
     """A step of the double pendulum in which its tip hits the wall."""
     scene = cvi.load_scene(MODELS / "double_pendulum_wall.toml")
-    traj = cvi.simulate(scene, duration=1.0, dt=0.01, order=order, tol=1e-14)
+    traj = cvi.simulate(scene, duration=1.0, dt=0.01, order=order, solver_tol=1e-14)
     k = int((traj.events[0].time - 0.0) / 0.01)
-    system = DiscreteSystem(scene, dt=0.01, steps=100, order=order, state=state, tol=1e-14)
+    system = DiscreteSystem(scene, dt=0.01, steps=100, order=order, state=state, solver_tol=1e-14)
     return system, system.build_state(traj.q[k], v=traj.v[k]), np.array([0.2, -0.1]), k
 
 

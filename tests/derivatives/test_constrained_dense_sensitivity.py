@@ -1,6 +1,6 @@
 """The derivatives of dense steps with constraints against fourth-order differences of the runs themselves.
 
-As in test_dense_sensitivity.py the runs are made with tol=1e-15, and starts are brought back to the constraints.
+As in test_dense_sensitivity.py the runs are made with solver_tol=1e-15, and starts are brought back to the constraints.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from helpers import constrained_scenes as scenes
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
 BAR = 1e-7
-DENSE = {"contact_mode": "steps", "tol": 1e-15}
+DENSE = {"contact_mode": "steps", "solver_tol": 1e-15}
 HELD = "gaps that are left for the sake of the energy"
 MASSES = "parameters of inertias and joints in masses that change within the step"
 

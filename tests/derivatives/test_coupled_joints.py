@@ -71,12 +71,12 @@ class Robot:
 @pytest.mark.parametrize("order", [2, 4, 8])
 @pytest.mark.parametrize("name", ROBOTS)
 def test_smooth_runs(name, order, tmp_path):
-    Robot(ROBOTS[name], tmp_path, duration=0.1, dt=0.01, order=order, tol=1e-14).check(1e-8)
+    Robot(ROBOTS[name], tmp_path, duration=0.1, dt=0.01, order=order, solver_tol=1e-14).check(1e-8)
 
 
 def test_long_steps(tmp_path):
     """Where the iterations of the derivative do not contract its matrix is factored."""
-    Robot(ROBOTS["finger"], tmp_path, speed=12.0, duration=0.2, dt=0.1, order=8, tol=1e-14).check(1e-6, 1e-5)
+    Robot(ROBOTS["finger"], tmp_path, speed=12.0, duration=0.2, dt=0.1, order=8, solver_tol=1e-14).check(1e-6, 1e-5)
 
 
 @pytest.mark.parametrize("impact", ["ctec", "dtec", "mhc"])
@@ -84,7 +84,14 @@ def test_long_steps(tmp_path):
 def test_through_limits(joint, impact, tmp_path):
     text = limited(ROBOTS["finger"], joint, -2.0, 0.5 if joint == "j0" else 0.9)
     robot = Robot(
-        text, tmp_path, base=(np.zeros(1), np.array([3.0])), duration=0.2, dt=0.01, order=4, tol=1e-14, impact=impact
+        text,
+        tmp_path,
+        base=(np.zeros(1), np.array([3.0])),
+        duration=0.2,
+        dt=0.01,
+        order=4,
+        solver_tol=1e-14,
+        impact=impact,
     )
     assert len(robot.check(1e-6, 1e-5).events) == 1
 
@@ -100,14 +107,14 @@ def test_a_tip_that_lands_and_slides(friction, mode, tmp_path):
 
     text = with_ball(hand(1, mount="arm"), "f0l2", 0.006, 0.028)
     base = np.array([0.1, 0.2, 0.3]), np.array([0.5, 1.5, 0.2])
-    settings = {"duration": 0.15, "dt": 1e-3, "tol": 1e-14, "contact_mode": mode}
+    settings = {"duration": 0.15, "dt": 1e-3, "solver_tol": 1e-14, "contact_mode": mode}
     traj = Robot(text, tmp_path, floor, base=base, **settings).check(1e-5, 1e-6)
     assert len(traj.contacts) > 0
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_step_as_a_linear_system(name, tmp_path):
-    robot = Robot(ROBOTS[name], tmp_path, duration=0.01, dt=0.01, order=4, tol=1e-14)
+    robot = Robot(ROBOTS[name], tmp_path, duration=0.01, dt=0.01, order=4, solver_tol=1e-14)
     nv, n = robot.nv, robot.n
     q, v = robot.oracle.q(robot.x[:n]), robot.oracle.S @ robot.x[n:]
     A, B = cvi.linearize(robot.scene, q, v, dt=0.01, order=4)
@@ -136,7 +143,7 @@ def test_parameters(tmp_path):
         scene.set_joint("j1", damping=1e-3)
         scene.set_joint("j2", stiffness=0.3, armature=1e-6, rest=0.0)
 
-    robot = Robot(finger(3), tmp_path, springs, duration=0.1, dt=0.01, order=4, tol=1e-14)
+    robot = Robot(finger(3), tmp_path, springs, duration=0.1, dt=0.01, order=4, solver_tol=1e-14)
     traj = robot.traj(record="gradient")
     found = traj.sensitivity(names)
     nv = robot.nv
@@ -166,7 +173,7 @@ def test_parameters(tmp_path):
 
 @pytest.mark.parametrize("name", ["finger", "gripper"])
 def test_second_derivatives(name, tmp_path):
-    robot = Robot(ROBOTS[name], tmp_path, duration=0.1, dt=0.01, order=4, tol=1e-14)
+    robot = Robot(ROBOTS[name], tmp_path, duration=0.1, dt=0.01, order=4, solver_tol=1e-14)
     nv, n = robot.nv, robot.n
     z = np.sin(1.0 + np.arange(2 * nv))
     cost = (z[:nv], z[nv:])

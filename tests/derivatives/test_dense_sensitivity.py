@@ -1,6 +1,6 @@
 """The derivatives of runs with dense steps against fourth-order differences of the runs themselves.
 
-Both are made with tol=1e-15, with which the contact problems of the dense steps are solved to 1e-11 and gaps to
+Both are made with solver_tol=1e-15, with which the contact problems of the dense steps are solved to 1e-11 and gaps to
 1e-14 m: with the usual 1e-8 and 1e-11 m differences are good to some five digits only.
 """
 
@@ -16,7 +16,7 @@ from derivatives.test_persistent_sensitivity import MOVING, Start, arm, at_limit
 from helpers.grasp_scene import closed, grasp
 from helpers.loop_scenes import arm_scene
 
-DENSE = {"contact_mode": "steps", "tol": 1e-15}
+DENSE = {"contact_mode": "steps", "solver_tol": 1e-15}
 LANDS = "points whose shares of a load decide about the motion"
 
 
@@ -232,7 +232,7 @@ def test_from_dense_steps_to_located_events():
     v[2::6] = 0.0
     force = np.zeros((32, scene.nv))
     force[5:, [2, 8, 14]] = 6.0
-    options = {"duration": 0.16, "dt": 5e-3, "tol": 1e-15, "control": force}
+    options = {"duration": 0.16, "dt": 5e-3, "solver_tol": 1e-15, "control": force}
     with pytest.warns(cvi.DenseStepWarning):
         traj = cvi.simulate(scene, q, v, record="gradient", **options)
     kinds = list(traj.phases["kind"])

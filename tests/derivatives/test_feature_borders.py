@@ -16,7 +16,14 @@ STEP = 1e-5  # of central differences: STEP^2 is left out, and rounding over STE
 
 def run(held: Held, v: np.ndarray) -> cvi.Trajectory:
     return cvi.simulate(
-        held.scene, held.q, v, duration=held.duration, dt=held.duration / 21, order=8, record="gradient", tol=1e-13
+        held.scene,
+        held.q,
+        v,
+        duration=held.duration,
+        dt=held.duration / 21,
+        order=8,
+        record="gradient",
+        solver_tol=1e-13,
     )
 
 

@@ -51,7 +51,7 @@ def test_steps_in_which_the_iterations_diverge(joints, order, dt):
     scene.add_spring("b1", "world", 1e5, point_a=(0.1, 0.2, 0.0), point_b=(1.0, 0.0, 0.5), damping=10.0)
     q, v, _ = state_of(scene, rng)
     assert _core.derivative_costs(scene.core(), q, 0.01 * v, dt, order=order)["adjoint_iterations"] == 0
-    traj = cvi.simulate(scene, q, 0.01 * v, record="gradient", duration=6 * dt, dt=dt, order=order, tol=1e-14)
+    traj = cvi.simulate(scene, q, 0.01 * v, record="gradient", duration=6 * dt, dt=dt, order=order, solver_tol=1e-14)
     assert traj.stats.halved == 0
     assert transpose_error(traj, ["q0", "v0"]) <= 2e-12
 
@@ -59,7 +59,7 @@ def test_steps_in_which_the_iterations_diverge(joints, order, dt):
 def test_long_steps_with_impacts():
     scene, _, _ = at_wall(0.7)
     q, v = np.array([0.3, 0.2]), np.array([-12.0, 8.4])
-    traj = cvi.simulate(scene, q, v, record="gradient", duration=1.5, dt=0.15, order=8, tol=1e-14)
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=1.5, dt=0.15, order=8, solver_tol=1e-14)
     assert traj.stats.halved == 0
     assert len(traj.events) > 1
     assert transpose_error(traj, ["q0", "v0"]) <= 2e-12

@@ -10,7 +10,7 @@ import contactvi as cvi
 from derivatives.differences import FOURTH
 from helpers.grasp_scene import closed, grasp
 
-OPTIONS = {"dt": 1e-3, "order": 2, "contact_mode": "events", "tol": 1e-14}
+OPTIONS = {"dt": 1e-3, "order": 2, "contact_mode": "events", "solver_tol": 1e-14}
 CLOSING = 0.077  # s
 
 

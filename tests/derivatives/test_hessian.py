@@ -43,7 +43,7 @@ def test_the_hand(order):
     steps = 10
     start = Start(
         scene, q, 0.5 * v, 0.01 * rng.standard_normal((steps, scene.nv)),
-        {"duration": steps * dt, "dt": dt, "order": order, "tol": 1e-14, "contact_mode": "events"},
+        {"duration": steps * dt, "dt": dt, "order": order, "solver_tol": 1e-14, "contact_mode": "events"},
     )  # fmt: skip
     check_second(start, 1e-4)
 
@@ -59,7 +59,7 @@ def test_the_midpoint_step_of_a_pendulum_in_closed_form():
     scene = cvi.Scene.from_pinocchio(model, name="pendulum")
     J, weight = mass * length**2 + 1e-3, mass * gravity * length
     q0, v0 = 0.4, 1.5
-    traj = cvi.simulate(scene, [q0], [v0], record="gradient", duration=h, dt=h, order=2, tol=1e-15)
+    traj = cvi.simulate(scene, [q0], [v0], record="gradient", duration=h, dt=h, order=2, solver_tol=1e-15)
     q1, k = float(traj.q[-1, 0]), 0.5 * h * h * weight / J
     middle = 0.5 * (q0 + q1)
     assert abs(q1 - q0 - h * v0 + k * np.sin(middle)) <= 1e-14
@@ -99,7 +99,7 @@ def test_a_damped_double_pendulum_in_sixty_digits(order):
     z = rng.standard_normal(4)
     one, two = ({name: rng.standard_normal(2).tolist() for name in ("q0", "v0", "tau")} for _ in range(2))
     expected = z @ precise.second_differences(run, x, one, two)
-    options = {"duration": 0.05, "dt": 0.05, "order": order, "tol": 1e-15}
+    options = {"duration": 0.05, "dt": 0.05, "order": order, "solver_tol": 1e-15}
     traj = cvi.simulate(scene, q, v, control=[STEP["tau"]], record="gradient", **options)
     w = {"q0": one["q0"], "v0": one["v0"], "control": [one["tau"]]}
     found = cvi.hessian_vector(traj, (z[:2], z[2:]), w, hessp="linear")
@@ -115,7 +115,7 @@ def test_treps_contracted_tensors():
     v = np.asarray(scene.core().velocity(q[None], p[None]))[0]
     z = np.array([1.0, -2.0, 0.0, 0.0])
     traj = cvi.simulate(
-        scene, q, v, control=[STEP["tau"]], record="gradient", duration=0.05, dt=0.05, order=2, tol=1e-15
+        scene, q, v, control=[STEP["tau"]], record="gradient", duration=0.05, dt=0.05, order=2, solver_tol=1e-15
     )
     tensors = derivative_trep.derivatives(derivative_step.PENDULUM, STEP)
     inputs = tensors.contracted(z)[2]
@@ -205,7 +205,7 @@ def test_two_bodies_that_meet(label):
 @pytest.mark.parametrize("order", [2, 4, 16])
 def test_a_tip_that_hits_a_wall(order):
     scene, q, v = at_wall(0.7)
-    options = {"duration": 0.9, "dt": 0.01, "order": order, "tol": 1e-14}
+    options = {"duration": 0.9, "dt": 0.01, "order": order, "solver_tol": 1e-14}
     start = Start(scene, q, v, np.zeros((90, 2)), options)
     assert len(start.run().events) == 1
     check_second(start, 1e-4)
@@ -216,7 +216,9 @@ def test_joints_that_reach_their_limits():
     q, v = state_of(scene, rng)[:2]
     for k in range(scene.nv):
         scene.set_joint(str(scene.model.names[k + 1]), limits=(q[k] - 0.3, q[k] + 0.3))
-    start = Start(scene, q, 2.0 * v, np.zeros((40, scene.nv)), {"duration": 0.4, "dt": 0.01, "order": 4, "tol": 1e-14})
+    start = Start(
+        scene, q, 2.0 * v, np.zeros((40, scene.nv)), {"duration": 0.4, "dt": 0.01, "order": 4, "solver_tol": 1e-14}
+    )
     assert len(start.run().events) == 2
     check_second(start, 1e-4)
 
@@ -229,7 +231,7 @@ def test_a_bounce_in_closed_form():
     scene.add_halfspace()
     scene.set_contact(restitution=e, friction=0.0)
     q, v = np.array([0.0, 0.0, y0, 0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, v0, 0.0, 0.0, 0.0])
-    traj = cvi.simulate(scene, q, v, record="gradient", duration=T, dt=0.01, order=2, tol=1e-15)
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=T, dt=0.01, order=2, solver_tol=1e-15)
     assert len(traj.events) == 1
     # s and the rest of the time t = T - (v0 + s)/g, with their derivatives by y0 and v0; y = r + e s t - g t^2/2
     s = np.sqrt(v0**2 + 2.0 * g * (y0 - r))
@@ -262,7 +264,7 @@ def test_an_impact_in_sixty_digits(order):
     z = rng.standard_normal(4)
     one, two = ({name: rng.standard_normal(2).tolist() for name in ("q0", "v0", "tau")} for _ in range(2))
     expected = z @ precise.second_differences(run, x, one, two)[:4]
-    options = {"duration": 0.1, "dt": 0.1, "order": order, "tol": 1e-15}
+    options = {"duration": 0.1, "dt": 0.1, "order": order, "solver_tol": 1e-15}
     traj = cvi.simulate(scene, q, v, control=[x["tau"]], record="gradient", **options)
     assert len(traj.events) == 1
     w = {"q0": one["q0"], "v0": one["v0"], "control": [one["tau"]]}

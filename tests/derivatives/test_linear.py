@@ -33,7 +33,7 @@ def tangent(model: pin.Model, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def differences(scene, q, v, tau, dt, order, state, **inputs) -> tuple[np.ndarray, np.ndarray]:
     """Fourth-order central differences of the step in (q, x, tau, dt), and their own error: two step sizes compared."""
     model, core, nv = scene.model, scene.core(), scene.nv
-    sim = cvi.Simulator(scene, dt=dt, order=order, tol=1e-15, contact_mode="events")
+    sim = cvi.Simulator(scene, dt=dt, order=order, solver_tol=1e-15, contact_mode="events")
     x = np.asarray(core.momentum(q[None], v[None]))[0] if state == "momentum" else v
     middle = cvi.step_derivatives(scene, q, v, tau, dt, order=order, state=state, **inputs)
 
@@ -41,7 +41,7 @@ def differences(scene, q, v, tau, dt, order, state, **inputs) -> tuple[np.ndarra
         dq, dx, force, longer = np.split(change, [nv, 2 * nv, 3 * nv])
         at, beside = pin.integrate(model, q, dq), x + dx
         speed = np.asarray(core.velocity(at[None], beside[None]))[0] if state == "momentum" else beside
-        own = sim if longer[0] == 0.0 else cvi.Simulator(scene, dt=dt + longer[0], order=order, tol=1e-15)
+        own = sim if longer[0] == 0.0 else cvi.Simulator(scene, dt=dt + longer[0], order=order, solver_tol=1e-15)
         own.reset(at, speed)
         own.step(tau + force, **inputs)
         return np.concatenate([tangent(model, middle.q, own.q), own.p if state == "momentum" else own.v])

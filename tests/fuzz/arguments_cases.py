@@ -255,7 +255,7 @@ RUN = (
     "traj = cvi.simulate(s, Q, V, LONG, DT, throw=False)",
     "traj = cvi.simulate(s, Q, V, LONG, 1e-3, order=ORDER, impact=MAP, throw=False)",
     "traj = cvi.simulate(s, v0=V, duration=LONG, dt=1e-3, contact_mode=MODE, contact_points=COUNT, throw=False)",
-    "traj = cvi.simulate(s, duration=LONG, dt=DT, tol=TOL, order=ORDER, throw=FLAG)",
+    "traj = cvi.simulate(s, duration=LONG, dt=DT, solver_tol=TOL, order=ORDER, throw=FLAG)",
     "traj = cvi.simulate(s, duration=LONG, dt=1e-3, control=CONTROL, target=TARGET, throw=False)",
     "traj = cvi.simulate(s, duration=LONG, dt=1e-3, sample_dt=SAMPLE, dense=FLAG, record_contacts=FLAG, throw=False)",
     "traj = cvi.simulate(s, duration=LONG, dt=1e-3, ledger=LEDGER, max_iterations=COUNT, throw=False)",
@@ -263,7 +263,7 @@ RUN = (
     "traj = cvi.simulate(ITEM, duration=0.01, dt=1e-3, throw=False)",
     "traj = cvi.simulate(s, duration=0.01, dt=1e-3, progress=CONTROL)",
     "cvi.Options(DT, LONG, MAP)",
-    "cvi.Options(1e-3, 0.01, order=ORDER, tol=TOL, contact_mode=MODE)",
+    "cvi.Options(1e-3, 0.01, order=ORDER, solver_tol=TOL, contact_mode=MODE)",
     "cvi.Options.from_dict(LEDGER)",
 )
 STEPPED = (

@@ -53,7 +53,7 @@ RUN = (
     "traj = cvi.simulate(s, Q, V, LONG, 1e-3, record='gradient', order=ORDER, impact=MAP, throw=False)",
     "traj = cvi.simulate(s, Q, V, LONG, 1e-3, record='gradient', contact_mode=MODE, throw=False)",
     "traj = cvi.simulate(s, duration=LONG, dt=1e-3, control=CONTROL, target=TARGET, record='gradient', throw=False)",
-    "traj = cvi.simulate(s, duration=LONG, dt=1e-3, record='gradient', zeno=MAP, tol=TOL, throw=False)",
+    "traj = cvi.simulate(s, duration=LONG, dt=1e-3, record='gradient', zeno=MAP, solver_tol=TOL, throw=False)",
     "traj = cvi.simulate(s, duration=LONG, dt=DT, record='gradient', sample_dt=SAMPLE, throw=False)",
 )
 CALLS = (

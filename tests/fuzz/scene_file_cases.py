@@ -128,6 +128,7 @@ def scene(d: Draws) -> dict[str, Any]:
             {
                 "order": d.pick((2, 4, 16)),
                 "tol": 1e-8,
+                "solver_tol": 1e-8,
                 "impact": d.pick(("ctec", "dtec", "mhc")),
                 "mhc_reference": "global",
                 "sample_dt": 1e-3,
@@ -233,7 +234,7 @@ def few_steps(scene: cvi.Scene) -> float | None:
     """Return a duration of few steps of the file's length, None where the file asks for more work than that [s]."""
     settings = scene.settings
     dt = settings.get("dt", 1e-3)
-    if not isinstance(dt, float) or not 0.0 < dt < 1e300 or "tol" in settings and settings["tol"] != 1e-8:
+    if not isinstance(dt, float) or not 0.0 < dt < 1e300 or settings.get("solver_tol", 1e-8) != 1e-8:
         dt = 1e-3
     duration = 0.01 if settings.get("dt") == "auto" else 3.0 * dt
     for name in ("sample_dt", "dt_contact"):

@@ -49,7 +49,7 @@ def arm_problem(interpolation: str = "constant", **options: Any) -> Problem:
     scene = sprung_arm(0.6, 0.1)(np.array(SPRUNG_ARM))
     inputs = Inputs(scene, torques="turn", targets="slide", hold=7, interpolation=interpolation)
     return Problem(
-        scene, 0.45, 1e-2, order=4, tol=1e-14, q0=[0.5, 0.5], v0=[-1.0, 1.0], inputs=inputs, free_q0="turn",
+        scene, 0.45, 1e-2, order=4, solver_tol=1e-14, q0=[0.5, 0.5], v0=[-1.0, 1.0], inputs=inputs, free_q0="turn",
         free_v0="*", parameters=["mass:turn", "restitution:tip|ground", "gravity", "kp:slide"],
         cost=generic(np.array([0.4, 0.3]), scene.model), input_cost=quadratic([1e-2, 1e-1], [0.0, 0.4]),
         parameter_cost=lambda p: (float(p["mass:turn"][0] ** 2), {"mass:turn": 2.0 * p["mass:turn"]}),
@@ -66,7 +66,8 @@ def box_problem() -> Problem:
     q = pin.integrate(scene.model, scene.neutral(), np.array([0, 0, 0.3, 0.3, 0.5, 0.2]))
     target = pin.integrate(scene.model, q, np.array([0.1, 0.0, 0.0, 0.1, 0.0, 0.1]))
     return Problem(
-        scene, 0.3, 1e-2, order=4, tol=1e-14, q0=q, v0=[0.3, 0.1, -0.5, 0.5, 1.0, -0.5], free_q0="box", free_v0="box",
+        scene, 0.3, 1e-2, order=4, solver_tol=1e-14, q0=q, v0=[0.3, 0.1, -0.5, 0.5, 1.0, -0.5], free_q0="box",
+        free_v0="box",
         parameters=["inertia:box"], cost=generic(target, scene.model), constraints=[at_middle(6)],
     )  # fmt: skip
 
@@ -94,7 +95,7 @@ def at_the_wall(**options: Any) -> Problem:
 
     chosen = {"cost": cost, "input_cost": quadratic(1e-3 * STEP), "bounds": {"inputs": (-15.0, 15.0)}} | options
     return Problem(
-        scene, INTERVALS * STEP, STEP, order=4, tol=1e-14, q0=[0.35, 0.25], v0=[0.0, 0.0],
+        scene, INTERVALS * STEP, STEP, order=4, solver_tol=1e-14, q0=[0.35, 0.25], v0=[0.0, 0.0],
         inputs=Inputs(scene, torques="*"), **chosen,
     )  # fmt: skip
 

@@ -70,7 +70,7 @@ class Draw:
     def options(self, duration: float, order: int, **more: Any) -> dict[str, Any]:
         """Return options with a random step of 10 or 20 ms."""
         dt = float(self._new(1).choice([0.01, 0.02]))
-        return {"duration": duration, "dt": dt, "order": order, "tol": 1e-14, **more}
+        return {"duration": duration, "dt": dt, "order": order, "solver_tol": 1e-14, **more}
 
 
 # -- smooth runs ------------------------------------------------------------------------------------------------------

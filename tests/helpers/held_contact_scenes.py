@@ -52,7 +52,7 @@ class Held:
 
     def run(self, steps: int, order: int) -> cvi.Trajectory:
         dt = self.duration / steps
-        return cvi.simulate(self.scene, self.q, self.v, duration=self.duration, dt=dt, order=order, tol=1e-14)
+        return cvi.simulate(self.scene, self.q, self.v, duration=self.duration, dt=dt, order=order, solver_tol=1e-14)
 
     def run_auto(self, tol: float) -> cvi.Trajectory:
         return cvi.simulate(self.scene, self.q, self.v, duration=self.duration, dt="auto", tol=tol)

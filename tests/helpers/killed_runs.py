@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 if __name__ == "__main__":
@@ -39,7 +40,7 @@ def scene_file(folder: Path, duration: float, restitution: float = 0.8) -> Path:
 
 def run(folder: Path, duration: float) -> subprocess.Popen[str]:
     """Start `contactvi run` of a ball; the results go to folder/out."""
-    arguments = ["run", str(scene_file(folder, duration)), "-o", "out"]
+    arguments = ["run", str(scene_file(folder, duration)), "-o", "out", "--plot"]
     return commands.start(commands.program() + arguments, folder)
 
 
@@ -132,7 +133,7 @@ def small_disk(folder: Path) -> Iterator[bool]:
 
 def save_one(folder: Path) -> None:
     """Save the shorter run undisturbed."""
-    _ball(DURATIONS[0]).save(folder / "trajectory.npz")
+    _ball(DURATIONS[0]).save(folder / "trajectory.npz", overwrite=True)
 
 
 def _ball(duration: float) -> cvi.Trajectory:
@@ -143,7 +144,7 @@ def _save_forever(folder: Path) -> None:
     runs = [_ball(duration) for duration in DURATIONS]
     print("ready", flush=True)
     for traj in itertools.cycle(runs):
-        traj.save(folder / "trajectory.npz")
+        traj.save(folder / "trajectory.npz", overwrite=True)
 
 
 def _write_small(folder: Path, limit: int) -> None:
@@ -151,12 +152,14 @@ def _write_small(folder: Path, limit: int) -> None:
     from contactvi.trajectory.plots import save_plot
 
     traj = cvi.simulate(run_scenes.ball_scene(0.8), duration=400.0, dt=1e-2)
-    save_plot(traj, folder.parent / "warm_up.png")  # fonts are cached
+    save_plot(traj, folder.parent / "warm_up.png", overwrite=True)  # fonts are cached
     if limit:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     told = {}
     for name, write in (
-        ("trajectory.npz", traj.save), ("playback.html", traj.to_html), ("energy.png", lambda p: save_plot(traj, p)),
+        ("trajectory.npz", partial(traj.save, overwrite=True)),
+        ("playback.html", partial(traj.to_html, overwrite=True)),
+        ("energy.png", partial(save_plot, traj, overwrite=True)),
     ):  # fmt: skip
         try:
             write(folder / name)

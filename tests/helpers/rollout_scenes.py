@@ -12,7 +12,7 @@ import contactvi as cvi
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 STEPS = 70  # a step is 10 ms, and the pendulum hits the wall at 0.657 s
-SETTINGS: dict[str, Any] = {"dt": 0.01, "order": 4, "tol": 1e-14}
+SETTINGS: dict[str, Any] = {"dt": 0.01, "order": 4, "solver_tol": 1e-14}
 Start = tuple[cvi.Scene, np.ndarray, np.ndarray]
 
 

@@ -11,7 +11,7 @@ from contactvi.errors import InputError
 from derivatives.differences import FOURTH
 from helpers.sprung_arm import SPRUNG_ARM, sprung_arm
 
-RUN = {"duration": 0.5, "dt": 1e-2, "order": 4, "tol": 1e-14}
+RUN = {"duration": 0.5, "dt": 1e-2, "order": 4, "solver_tol": 1e-14}
 ARM = [
     "gravity", "mass:turn", "mass:slide", "inertia:turn", "armature:turn", "stiffness:turn", "damping:turn",
     "rest:turn", "kp:slide", "kd:slide", "restitution", "friction", "restitution:tip|ground", "friction:ground | tip",

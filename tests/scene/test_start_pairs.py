@@ -17,6 +17,7 @@ from contactvi.control.rollouts import Rollouts
 from contactvi.derivatives.perturbed_runs import PerturbedRuns
 from contactvi.importing.report import ADJACENT, OVERLAP, SELF_COLLISION
 from contactvi.trajectory.compiled import compile_scene
+from helpers.run_scenes import ball_scene
 
 PENDULUM = """<robot name="p"><link name="base"/><link name="rod">
 <inertial><origin xyz="0 0 -1"/><mass value="1"/>
@@ -129,7 +130,7 @@ def test_a_simulator_decides_at_each_reset(scene, raised):
     batch = cvi.simulate_batch(sim, control=np.zeros((2, 1000, 1)), duration=1.0)  # from the state of the simulator
     np.testing.assert_array_equal(batch.q[:, -1], [traj.q[-1], traj.q[-1]])
     with pytest.raises(cvi.InputError, match="Snapshot"):
-        cvi.Simulator(cvi.Scene(), 1e-3).load(saved)
+        cvi.Simulator(ball_scene(), 1e-3).load(saved)
 
 
 @pytest.mark.filterwarnings("ignore::contactvi.UntestedPairWarning")

@@ -349,3 +349,20 @@ def test_descriptions_without_a_camera_are_read():
     data = scene.to_dict()
     del data["camera"]
     assert cvi.Scene.from_dict(data).camera is None
+
+
+def test_tol_of_a_file_with_a_fixed_step_is_taken_as_solver_tol_with_a_warning(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text('[[sphere]]\nname = "ball"\nradius = 0.1\nmass = 1.0\n\n[run]\ndt = 0.01\ntol = 1e-9\n')
+    with pytest.warns(cvi.DeprecatedWarning, match=r"scene.toml, \[run\].*solver_tol = 1e-09") as told:
+        scene = cvi.load_scene(file)
+    assert [warning.filename for warning in told] == [__file__]
+    assert scene.settings == {"dt": 0.01, "solver_tol": 1e-9}
+
+
+def test_tol_of_a_file_without_a_fixed_step_is_the_accuracy_of_q(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text('[[sphere]]\nname = "ball"\nradius = 0.1\nmass = 1.0\n\n[run]\nduration = 0.1\ntol = 1e-9\n')
+    traj = cvi.simulate(cvi.load_scene(file))
+    assert (traj.options.dt, traj.options.tol, traj.options.solver_tol) == ("auto", 1e-9, None)
+    assert traj.error_estimate <= 1e-9

@@ -75,7 +75,7 @@ def error(traj: cvi.Trajectory, exact: cvi.Trajectory) -> float:
 def exact() -> dict[str, cvi.Trajectory]:
     """Steps of 5 ms at order 16: polynomials exact to rounding, gathered over the run."""
     return {
-        name: cvi.simulate(make(), duration=span, dt=0.005, order=16, tol=1e-14)
+        name: cvi.simulate(make(), duration=span, dt=0.005, order=16, solver_tol=1e-14)
         for name, (make, span) in SCENES.items()
     }
 
@@ -149,7 +149,7 @@ def test_motion_that_multiplies_errors(tol):
     """Ten seconds of a double pendulum multiply what is left of the stage equations, too, by about 1e4."""
     scene = swinging()
     scene.q0 = np.array([1.5, 1.0])
-    close = cvi.simulate(scene, duration=10.0, dt=0.005, order=16, tol=1e-14)
+    close = cvi.simulate(scene, duration=10.0, dt=0.005, order=16, solver_tol=1e-14)
     traj = cvi.simulate(scene, duration=10.0, tol=tol)
     assert error(traj, close) / 3.0 <= traj.error_estimate <= tol
 
@@ -170,7 +170,7 @@ def test_estimates_of_random_chains(kinds, seed, sample, tol):
     }[kinds]
     scene, rng = chain(joints, seed)
     v0 = rng.uniform(-2.0, 2.0, scene.nv)
-    close = cvi.simulate(scene, None, v0, span, dt=0.0025, order=16, tol=1e-15)
+    close = cvi.simulate(scene, None, v0, span, dt=0.0025, order=16, solver_tol=1e-15)
     options = {} if sample is None else {"sample_dt": sample}
     traj = cvi.simulate(scene, None, v0, span, dt="auto", tol=tol, **options)
     assert error(traj, close) / 3.0 <= traj.error_estimate <= tol
@@ -432,7 +432,7 @@ def test_shorter_contact_steps_do_not_change_smooth_steps():
     runs = [cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-9, dt_contact=dt) for dt in (None, 2e-4, 1e-6)]
     for traj in runs[1:]:
         np.testing.assert_array_equal(traj.q, runs[0].q)
-    close = cvi.simulate(scene, None, v, duration, dt=1e-3, dt_contact=1e-5, contact_mode="events", tol=1e-14)
+    close = cvi.simulate(scene, None, v, duration, dt=1e-3, dt_contact=1e-5, contact_mode="events", solver_tol=1e-14)
     assert tipping_error(close) < 1e-6  # order 2
 
 

@@ -140,7 +140,7 @@ def test_a_table_slides_and_stops():
 
 def test_a_hundred_bounces_keep_the_energy_to_rounding():
     scene = ball(0.05, stiffness=2000.0)
-    traj = cvi.simulate(scene, None, None, 32.0, dt=2e-3, order=8, tol=1e-14)
+    traj = cvi.simulate(scene, None, None, 32.0, dt=2e-3, order=8, solver_tol=1e-14)
     assert traj.stats.switches >= 200
     assert np.ptp(traj.energy) <= 1e-11 * traj.energy[0]  # some 1e-13 for each bounce, where it is located
 
@@ -242,7 +242,7 @@ def test_derivatives_are_those_of_differences(name, order):
 
     def run(dq: np.ndarray, dv: np.ndarray, **options) -> cvi.Trajectory:
         start = pin.integrate(scene.model, q, dq)
-        return cvi.simulate(scene, start, v + dv, 0.12, dt=5e-4, order=order, tol=1e-14, **options)
+        return cvi.simulate(scene, start, v + dv, 0.12, dt=5e-4, order=order, solver_tol=1e-14, **options)
 
     none = np.zeros(scene.nv)
     traj = run(none, none, record="gradient")

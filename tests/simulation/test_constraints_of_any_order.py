@@ -52,7 +52,7 @@ def test_four_bar_has_the_order(order, steps):
     exact = reference.motion(BARS, 0.3, 2.0, np.array([0.0, 0.5]))[-1, 0]
     errors = []
     for count in steps:
-        traj = cvi.simulate(scene, q, v, duration=0.5, dt=0.5 / count, order=order, tol=1e-14)
+        traj = cvi.simulate(scene, q, v, duration=0.5, dt=0.5 / count, order=order, solver_tol=1e-14)
         errors.append(abs(traj.q[-1, 0] - exact))
         assert np.abs(traj.ledger.constraint_residual).max() < 1e-13
     seen = np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0])
@@ -66,13 +66,13 @@ def test_spherical_double_pendulum_has_the_order(order, steps):
     scene, q, v = hung_boxes()
     tree = hung_tree()
     spins = np.concatenate([v[3:6], v[9:12] - v[3:6]])
-    fine = cvi.simulate(tree, tree.neutral(), spins, duration=0.5, dt=2.5e-3, order=16, tol=1e-14)
+    fine = cvi.simulate(tree, tree.neutral(), spins, duration=0.5, dt=2.5e-3, order=16, solver_tol=1e-14)
     turn = pin.Quaternion(*fine.q[-1, [3, 0, 1, 2]]).matrix() @ pin.Quaternion(*fine.q[-1, [7, 4, 5, 6]]).matrix()
     upper = pin.Quaternion(*fine.q[-1, [3, 0, 1, 2]]).matrix()
     place = upper @ (0, 0, -0.6) + turn @ (0, 0, -0.25)
     errors = []
     for count in steps:
-        traj = cvi.simulate(scene, q, v, duration=0.5, dt=0.5 / count, order=order, tol=1e-14)
+        traj = cvi.simulate(scene, q, v, duration=0.5, dt=0.5 / count, order=order, solver_tol=1e-14)
         errors.append(np.abs(traj.q[-1, 7:10] - place).max())
     assert np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0]) > order - 0.3 or errors[1] < 1e-12
     assert errors[1] < 1e-6
@@ -100,8 +100,8 @@ def test_loops_of_coupled_joints(order):
     """Two equal four-bars with one crank move as one of them does."""
     both, one = geared_four_bars(), systems.four_bar()
     q, v = four_bar_start(one)
-    alone = cvi.simulate(one, q, v, duration=0.5, dt=0.02, order=order, tol=1e-14)
-    geared = cvi.simulate(both, np.tile(q, 2), np.tile(v, 2), duration=0.5, dt=0.02, order=order, tol=1e-14)
+    alone = cvi.simulate(one, q, v, duration=0.5, dt=0.02, order=order, solver_tol=1e-14)
+    geared = cvi.simulate(both, np.tile(q, 2), np.tile(v, 2), duration=0.5, dt=0.02, order=order, solver_tol=1e-14)
     assert geared.q[:, :3] == pytest.approx(alone.q, abs=1e-12)
     assert geared.q[:, 3:] == pytest.approx(alone.q, abs=1e-12)
 
@@ -113,7 +113,7 @@ def test_reaction_of_a_gear_between_loops(order, dt):
     q = np.concatenate([systems.four_bar_angles(0.3), systems.four_bar_angles(0.3 + ahead)])
     v = scene.consistent_velocity(q, np.eye(6)[0])
     v *= 2.0 / v[0]
-    traj = cvi.simulate(scene, q, v, duration=0.5, dt=dt, order=order, tol=1e-14)
+    traj = cvi.simulate(scene, q, v, duration=0.5, dt=dt, order=order, solver_tol=1e-14)
     exact = reference.geared(BARS, 0.3, ahead, 2.0, traj.t)
     assert traj.q[:, 0] == pytest.approx(exact[:, 0], abs=1e-7)
     mean = np.diff(exact[:, 1]) / np.diff(traj.t)
@@ -187,7 +187,9 @@ def test_momentum_of_a_free_linkage(make, order, dt):
     for joint in scene.model.joints:
         if joint.shortname() == "JointModelFreeFlyer":  # all stand upright
             v[joint.idx_v : joint.idx_v + 3] -= drift
-    traj = cvi.simulate(scene, q, v, duration=2000 * dt, dt=dt, order=order, tol=1e-14, record_every=10, dense=False)
+    traj = cvi.simulate(
+        scene, q, v, duration=2000 * dt, dt=dt, order=order, solver_tol=1e-14, record_every=10, dense=False
+    )
     sums = np.array([spatial_momentum(scene.model, row, p) for row, p in zip(traj.q, traj.p, strict=True)])
     # rounding and the tolerance of the steps, of some N m s
     assert np.abs(sums - sums[0]).max() < 1e-12
@@ -219,7 +221,7 @@ def test_impacts_on_a_loop(impact):
     scene = systems.four_bar(stop=0.55)
     q = systems.four_bar_angles(0.4)
     v = scene.consistent_velocity(q, [5.0, -5.0, 0.0])
-    fine = cvi.simulate(scene, q, v, duration=0.8, dt=0.01, order=16, tol=1e-14)
+    fine = cvi.simulate(scene, q, v, duration=0.8, dt=0.01, order=16, solver_tol=1e-14)
     assert len(fine.events) == 1
     errors = []
     for count in (40, 80):
@@ -227,7 +229,7 @@ def test_impacts_on_a_loop(impact):
         assert len(traj.events) == 1
         errors.append(np.abs(traj.q[-1] - fine.q[-1]).max())
     assert errors[1] < errors[0] / 8.0
-    close = cvi.simulate(scene, q, v, duration=0.8, dt=0.01, order=8, impact=impact, tol=1e-14)
+    close = cvi.simulate(scene, q, v, duration=0.8, dt=0.01, order=8, impact=impact, solver_tol=1e-14)
     assert np.abs(close.q[-1] - fine.q[-1]).max() < 1e-9
 
 

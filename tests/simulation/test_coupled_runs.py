@@ -45,11 +45,12 @@ def test_orders(name, tmp_path):
     q, v, _ = oracle.run(y, u, 0.2)
     for order, dt in STEPS.items():
         errors = [
-            error(cvi.simulate(scene, q0, v0, duration=0.2, dt=h, order=order, tol=1e-14), q, v) for h in (dt, dt / 2)
+            error(cvi.simulate(scene, q0, v0, duration=0.2, dt=h, order=order, solver_tol=1e-14), q, v)
+            for h in (dt, dt / 2)
         ]
         assert np.log2(errors[0] / errors[1]) > order - 0.4 or errors[1] < 1e-11
     # DOP853 itself is good to some 1e-13 of the speeds.
-    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.01, order=16, tol=1e-14), q, v) < 1e-12
+    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.01, order=16, solver_tol=1e-14), q, v) < 1e-12
 
 
 @pytest.mark.parametrize("name", ["three links", "on an arm"])
@@ -82,7 +83,7 @@ def test_springs_damping_and_armature_of_either_joint(tmp_path):
     oracle = Coupled(scene.model, mimics(text), **{**numbers, "armature": None})
     y, u, q0, v0 = start_of(oracle)
     q, v, _ = oracle.run(y, u, 0.2)
-    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.005, order=12, tol=1e-14), q, v) < 1e-12
+    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.005, order=12, solver_tol=1e-14), q, v) < 1e-12
 
 
 def test_forces_on_either_joint(tmp_path):
@@ -92,7 +93,7 @@ def test_forces_on_either_joint(tmp_path):
     y, u, q0, v0 = start_of(oracle)
     tau = np.array([0.02, -0.03, 0.015])
     q, v, _ = oracle.run(y, u, 0.1, tau=tau)
-    traj = cvi.simulate(scene, q0, v0, duration=0.1, dt=0.01, order=12, tol=1e-14, control=tau)
+    traj = cvi.simulate(scene, q0, v0, duration=0.1, dt=0.01, order=12, solver_tol=1e-14, control=tau)
     assert error(traj, q, v) < 1e-12
 
 
@@ -107,7 +108,9 @@ def test_limits_of_either_joint(joint, restitution, impact, tmp_path):
     oracle = Coupled(scene.model, mimics(text))
     y, u = np.zeros(1), np.array([3.0])
     q, v, hits = oracle.run(y, u, 0.3, limits=[(joint, -2.0, 1.0), (joint, bound, -1.0)], restitution=restitution)
-    traj = cvi.simulate(scene, oracle.q(y), oracle.S @ u, duration=0.3, dt=0.005, order=12, impact=impact, tol=1e-14)
+    traj = cvi.simulate(
+        scene, oracle.q(y), oracle.S @ u, duration=0.3, dt=0.005, order=12, impact=impact, solver_tol=1e-14
+    )
     assert len(traj.events) == len(hits) > 0
     np.testing.assert_allclose([event.time for event in traj.events], hits, rtol=0, atol=1e-12)
     assert error(traj, q, v) < 1e-11  # an event is located to 1e-12 m
@@ -136,7 +139,7 @@ def test_momentum_of_a_floating_hand(tmp_path):
     v0 = scene.consistent_velocity(v=np.sin(1.0 + np.arange(nv)) * 2.0)
     assert len(followers) == 10
     for order, dt in ((2, 1e-3), (8, 0.01)):
-        traj = cvi.simulate(scene, q0, v0, duration=1.0, dt=dt, order=order, tol=1e-14)
+        traj = cvi.simulate(scene, q0, v0, duration=1.0, dt=dt, order=order, solver_tol=1e-14)
         ledger = traj.ledger
         size = np.abs(scene.core().spatial_momentum(traj.q[:1], traj.p[:1])).max()
         for momentum in (ledger.linear_momentum, ledger.angular_momentum):
@@ -196,7 +199,7 @@ def test_a_massless_link_that_is_coupled(tmp_path):
         oracle = Coupled(scene.model, {"b": ("a", ratio, 0.0)})
         y, u, q0, v0 = start_of(oracle)
         q, v, _ = oracle.run(y, u, 0.3)
-        traj = cvi.simulate(scene, q0, v0, duration=0.3, dt=0.01, order=12, tol=1e-14)
+        traj = cvi.simulate(scene, q0, v0, duration=0.3, dt=0.01, order=12, solver_tol=1e-14)
         assert error(traj, q, v) < 1e-12
 
 
@@ -206,7 +209,7 @@ def test_massless_followers_of_a_hand(tmp_path):
     oracle = Coupled(scene.model, mimics(text))
     y, u, q0, v0 = start_of(oracle)
     q, v, _ = oracle.run(y, u, 0.2)
-    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.01, order=16, tol=1e-14), q, v) < 1e-11
+    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.01, order=16, solver_tol=1e-14), q, v) < 1e-11
     energy = cvi.simulate(scene, q0, v0, duration=0.2, dt=0.01, order=16).energy
     assert abs(energy[0] - oracle.energy(y, u)) < 1e-13
 
@@ -360,7 +363,7 @@ def test_equalities_between_trees(tmp_path):
     oracle = Coupled(scene.model, {"f1j0": ("f0j0", -0.7, 0.1)})
     y, u, q0, v0 = start_of(oracle)
     q, v, _ = oracle.run(y, u, 0.2)
-    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.01, order=12, tol=1e-14), q, v) < 1e-12
+    assert error(cvi.simulate(scene, q0, v0, duration=0.2, dt=0.01, order=12, solver_tol=1e-14), q, v) < 1e-12
 
 
 def test_joint_friction_of_a_follower(tmp_path):

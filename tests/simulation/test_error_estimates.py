@@ -54,7 +54,9 @@ def test_a_robot_that_walks_is_held_by_smooth_steps(estimates):
     motion, _ = estimates.estimate_scenes.make("robot walks", 4)
     motion.duration = 0.05
     traj, warned = estimates.run(motion, 60.0, dt="auto", tol=5e-8)
-    fixed, _ = estimates.run(motion, 60.0, motion.steady, dt=1e-3, order=8, tol=1e-13, dt_contact=5e-5, dense=True)
+    fixed, _ = estimates.run(
+        motion, 60.0, motion.steady, dt=1e-3, order=8, solver_tol=1e-13, dt_contact=5e-5, dense=True
+    )
     assert not warned
     assert traj.stats.contact_steps == fixed.stats.contact_steps == 0
     # Fixed steps are off by some 4e-9 (their distance from steps half as long), the other run by a part of its tol.

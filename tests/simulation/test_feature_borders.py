@@ -55,7 +55,7 @@ def test_steps_of_any_length_agree(name):
     spin = np.zeros(2) if name.startswith("slides") else np.array([-speed[1], speed[0]]) / RADIUS
     v = np.array([*speed, 0.0, *spin, 0.0])
     runs = [
-        cvi.simulate(scene, q, v, duration=DURATION, dt=DURATION / steps, order=order, tol=1e-14)
+        cvi.simulate(scene, q, v, duration=DURATION, dt=DURATION / steps, order=order, solver_tol=1e-14)
         for steps, order in ((10, 16), (40, 8), (400, 12))
     ]
     runs.append(cvi.simulate(scene, q, v, duration=DURATION, dt="auto", tol=1e-8))

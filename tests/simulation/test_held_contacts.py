@@ -126,7 +126,7 @@ def test_energy_is_flat_over_1e5_steps(name, order):
     """What sticks, what slides without friction, and loops: the steps are symplectic, and the energy has no trend."""
     make, modes, steps = SYMPLECTIC[name]
     (scene, q, v), dt = make(), steps[order]
-    options: dict[str, Any] = {"dt": dt, "order": order, "tol": 1e-15, "record_every": 50, "dense": False}
+    options: dict[str, Any] = {"dt": dt, "order": order, "solver_tol": 1e-15, "record_every": 50, "dense": False}
     traj = cvi.simulate(scene, q, v, duration=1e5 * dt, **options)
     assert {contact.mode for contact in traj.contacts.at(0.5 * traj.t[-1])} == modes
     assert traj.stats.contact_steps == traj.stats.halved == 0
@@ -144,7 +144,7 @@ def test_drift_of_rolling(order, steps):
     held = scenes.rolling_coin(1.0)
     rates = []
     for dt in steps:
-        options = {"dt": dt, "order": order, "tol": 1e-14, "dense": False}
+        options = {"dt": dt, "order": order, "solver_tol": 1e-14, "dense": False}
         traj = cvi.simulate(held.scene, held.q, held.v, duration=40.0, **options)
         assert traj.stats.contact_steps == traj.stats.halved == 0
         rates.append(abs(np.polyfit(traj.t, traj.energy, 1)[0]))
@@ -212,7 +212,7 @@ def test_a_tip_that_is_pressed_sticks_and_slips_in_turn(order):
     That is when the slip would begin with more than 1e-7 of the largest acceleration, which is 1e-5 of the force here.
     """
     arm = PressingArm()
-    options: dict[str, Any] = {"duration": 0.6, "order": order, "tol": 1e-14}
+    options: dict[str, Any] = {"duration": 0.6, "order": order, "solver_tol": 1e-14}
     times = []
     for dt in (2e-3, 1e-3):
         traj = cvi.simulate(arm.scene, [0.1, 0.2, 0.2], [0.0, 0.0, 0.0], dt=dt, **options)

@@ -361,7 +361,7 @@ def test_scene_file_and_command_line(impact, tmp_path):
     text = text.replace("dt = 1e-3", 'dt = 1e-2\nmhc_reference = "global"')
     (tmp_path / "scene.toml").write_text(text + "\n[run.ledger]\nown_jump = 1e-10\n")
     result = CliRunner().invoke(
-        app, ["run", str(tmp_path / "scene.toml"), "--impact", impact, "-o", str(tmp_path), "--no-html"]
+        app, ["run", str(tmp_path / "scene.toml"), "--impact", impact, "-o", str(tmp_path), "--no-html", "--plot"]
     )
     assert result.exit_code == 0, result.output
     traj = cvi.Trajectory.load(tmp_path / "trajectory.npz")

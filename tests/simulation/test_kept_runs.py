@@ -70,10 +70,10 @@ def test_a_run_that_is_led_takes_fewer_sweeps():
     coarser = made(compiled, chosen)
     led = made(compiled, chosen, coarser=coarser, part=0.8)
     steps = led.nodes - 1
-    alone = cvi.simulate(compiled.scene(), duration=SPAN, dt=SPAN / steps, order=16, tol=chosen.stage_tol)
+    alone = cvi.simulate(compiled.scene(), duration=SPAN, dt=SPAN / steps, order=16, solver_tol=chosen.stage_tol)
     assert led.sweeps < 0.8 * alone.stats.sweeps
     t, q, _ = record_of(led, compiled, chosen).nodes()
-    exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, tol=1e-14).at(t).q
+    exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, solver_tol=1e-14).at(t).q
     np.testing.assert_allclose(q, exact, atol=1e-8)
 
 
@@ -85,10 +85,10 @@ def test_a_turning_base_is_led_as_closely_as_the_joints():
     coarser = made(compiled, chosen, level=1e-6)
     led = made(compiled, chosen, coarser=coarser, part=0.8)
     steps = led.nodes - 1
-    alone = cvi.simulate(compiled.scene(), duration=SPAN, dt=SPAN / steps, order=16, tol=chosen.stage_tol)
+    alone = cvi.simulate(compiled.scene(), duration=SPAN, dt=SPAN / steps, order=16, solver_tol=chosen.stage_tol)
     assert led.sweeps < 0.6 * alone.stats.sweeps
     t, q, _ = record_of(led, compiled, chosen).nodes()
-    exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, tol=1e-14).at(t).q
+    exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, solver_tol=1e-14).at(t).q
     assert compiled.states.distance(q, exact).max() <= 1e-8
 
 
@@ -199,7 +199,7 @@ def test_the_first_step_is_held_against_two_halves(damping, tmp_path):
     run = made(compiled, chosen, level=1.0)
     found = run.first_step_error
     t, q, _ = record_of(run, compiled, chosen).nodes()
-    halves = cvi.simulate(scene, duration=t[1], dt=0.5 * t[1], order=4, tol=chosen.stage_tol)
+    halves = cvi.simulate(scene, duration=t[1], dt=0.5 * t[1], order=4, solver_tol=chosen.stage_tol)
     assert found == pytest.approx(abs(q[1, 0] - halves.q[2, 0]), rel=1e-6, abs=1e-14)
     assert (found > 1e-4) == (damping > 0.0)
 
@@ -247,7 +247,7 @@ def test_samples_are_the_states_at_their_times():
     """Whether they are nodes or lie within steps."""
     scene = cvi.load_scene(MODELS / "double_pendulum_wall.toml")
     scene.settings = {}
-    exact = cvi.simulate(scene, duration=3.0, dt=5e-3, order=16, tol=1e-14)
+    exact = cvi.simulate(scene, duration=3.0, dt=5e-3, order=16, solver_tol=1e-14)
     for sample in (0.25, 0.1, 0.01):
         traj = cvi.simulate(scene, duration=3.0, sample_dt=sample)
         np.testing.assert_allclose(traj.t, sample * np.arange(round(3.0 / sample) + 1), atol=1e-12)

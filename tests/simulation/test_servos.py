@@ -61,7 +61,7 @@ def test_auto_with_servos(limits):
         scene.set_actuator("j*", **limits)
     q0 = scene.configuration({"j1": -0.5, "j2": 0.3})
     v0 = np.array([2.0, -1.0])
-    exact = cvi.simulate(scene, q0, v0, duration=1.0, dt=2e-3, order=8, tol=1e-14).q[-1]
+    exact = cvi.simulate(scene, q0, v0, duration=1.0, dt=2e-3, order=8, solver_tol=1e-14).q[-1]
     for tol in (1e-4, 1e-8):
         traj = cvi.simulate(scene, q0, v0, duration=1.0, dt="auto", tol=tol)
         assert traj.error_estimate <= tol

@@ -7,6 +7,7 @@ import math
 import os
 import signal
 import threading
+import warnings
 
 import numpy as np
 import pinocchio as pin
@@ -28,8 +29,8 @@ def test_elastic_ball():
     assert [event.pair for event in traj.events] == [("ball", "ground")] * 3
     times = FIRST_IMPACT * np.array([1, 3, 5])
     assert traj.events.array("time") == pytest.approx(times, abs=10 * FLIGHT_TOLERANCE)
-    # Every step is solved to tol, relative; the errors of a parabola do not add up beyond a few of them.
-    assert np.ptp(traj.energy) <= 10 * traj.options.tol * traj.energy[0]
+    # Every step is solved to solver_tol, relative; the errors of a parabola do not add up beyond a few of them.
+    assert np.ptp(traj.energy) <= 10 * traj.options.solver_tol * traj.energy[0]
     assert traj.stats.steps == 300
     assert traj.stats.impacts == 3
 
@@ -254,8 +255,8 @@ def test_settings_of_a_scene_file(tmp_path):
         ({"duration": 1.005}, "duration", "Use duration=1, or dt="),
         ({"duration": 1e50, "dt": 1e-300}, "dt", "overflows"),
         ({"duration": 1e300, "dt": 1e-3}, "duration", "at most 1e+50"),
-        ({"tol": 0.0}, "tol", "0.0"),
-        ({"tol": 2.0}, "tol", "below 1"),
+        ({"solver_tol": 0.0}, "solver_tol", "0.0"),
+        ({"solver_tol": 2.0}, "solver_tol", "below 1"),
         ({"record_every": 0}, "record_every", ">= 1"),
         ({"record_every": 1.5}, "record_every", "1.5"),
         ({"max_iterations": -3}, "max_iterations", "-3"),
@@ -309,7 +310,9 @@ def resolved(file, forced=False, **chosen):
 
 def test_defaults_depend_on_the_kind_of_step():
     fixed, auto = resolved({"dt": 0.01}), resolved({})
-    assert (fixed.order, fixed.tol, fixed.stage_tol, fixed.dense, fixed.auto) == (2, 1e-12, 1e-12, False, False)
+    assert (fixed.order, fixed.tol, fixed.solver_tol, fixed.stage_tol) == (2, None, 1e-12, 1e-12)
+    assert (fixed.dense, fixed.auto) == (False, False)
+    assert auto.solver_tol is None
     assert (auto.dt, auto.order, auto.tol, auto.stage_tol, auto.dense) == ("auto", 16, 1e-6, pytest.approx(1e-11), True)
     assert resolved({}, tol=1e-9).stage_tol == pytest.approx(1e-14)
     assert resolved({}, tol=1e-13).stage_tol == 1e-15
@@ -328,13 +331,64 @@ def test_runs_that_cannot_choose_their_step_have_a_default(chosen):
 
 
 def test_settings_of_another_kind_of_step_do_not_count():
-    file = {"dt": 0.01, "tol": 1e-9, "record_every": 5, "impact": "mhc"}
+    file = {"dt": 0.01, "solver_tol": 1e-9, "record_every": 5, "impact": "mhc"}
     auto = resolved(file, dt="auto")
     assert (auto.tol, auto.record_every, auto.impact) == (1e-6, 1, "mhc")
     assert resolved(file, dt="auto", tol=1e-4).tol == 1e-4
-    assert resolved(file, dt=0.02).tol == 1e-9
-    assert resolved({"tol": 1e-8}, dt=0.02).tol == 1e-12
+    assert resolved(file, dt=0.02).solver_tol == 1e-9
+    assert resolved({"tol": 1e-8}, dt=0.02).solver_tol == 1e-12
+    assert resolved({"tol": 1e-8}, forced=True).solver_tol == 1e-12
     assert resolved({"dt": "auto", "tol": 1e-8}).tol == 1e-8
+
+
+@pytest.mark.parametrize(
+    ("file", "chosen"),
+    [
+        ({}, {"dt": 0.01, "tol": 1e-9}),
+        ({"dt": 0.01}, {"tol": 1e-9}),
+        ({"dt": 0.01, "tol": 1e-9}, {}),
+        ({}, {"order": 2, "tol": 1e-9}),
+        ({}, {"forced": True, "tol": 1e-9}),
+    ],
+)
+def test_tol_beside_a_fixed_step_is_taken_as_solver_tol_with_a_warning(file, chosen):
+    """Each time: the options of a call are kept, the warning must not be lost with them."""
+    for _ in range(2):
+        with pytest.warns(cvi.DeprecatedWarning, match=r"accuracy of q.*solver_tol=1e-09") as told:
+            found = resolved(file, **chosen)
+        assert (found.solver_tol, found.tol) == (1e-9, None)
+    assert {warning.filename for warning in told} == {__file__}
+
+
+def test_the_warning_of_tol_is_that_of_the_line_of_the_call():
+    with pytest.warns(cvi.DeprecatedWarning) as told:
+        traj = cvi.simulate(ball_scene(), duration=0.1, dt=0.01, tol=1e-11)
+    assert [warning.filename for warning in told] == [__file__]
+    assert traj.options.solver_tol == 1e-11
+    assert np.isnan(traj.error_estimate)
+
+
+@pytest.mark.parametrize("chosen", [{"dt": 0.01, "tol": 1e-9, "solver_tol": 1e-9}, {"dt": "auto", "solver_tol": 1e-9}])
+def test_each_kind_of_step_has_its_own_tolerance(chosen):
+    with pytest.raises(cvi.InputError, match="tol"):
+        resolved({}, **chosen)
+
+
+def test_tol_alone_makes_the_step_automatic_and_is_met():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        traj = cvi.simulate(ball_scene(), duration=1.0, tol=1e-7)
+    assert traj.options.auto
+    assert traj.error_estimate <= 1e-7
+
+
+def test_options_of_older_files_call_the_tolerance_of_the_solver_tol():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        old = cvi.Options.from_stored({"dt": 0.01, "tol": 1e-9})
+        auto = cvi.Options.from_stored({"dt": "auto", "tol": 1e-9})
+    assert (old.solver_tol, old.tol) == (1e-9, None)
+    assert (auto.solver_tol, auto.tol) == (None, 1e-9)
 
 
 @pytest.mark.parametrize(("duration", "dt", "steps"), [(1.0, 0.1, 10), (0.3, 0.1, 3), (2.0, 1 / 60, 120), (3, 1, 3)])

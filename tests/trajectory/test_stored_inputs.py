@@ -169,8 +169,10 @@ def test_inputs_of_wrong_shapes_are_refused(tmp_path):
         ("input/contact_steps", np.full(3, np.inf)),
     ):
         with pytest.raises(cvi.SceneError, match="Cannot read the run"):
-            cvi.Trajectory.load(changed(traj.save(tmp_path / "run.npz"), name, values))
-    short = cvi.Trajectory.load(changed(traj.save(tmp_path / "run.npz"), "input/control", np.zeros((3, 6))))
+            cvi.Trajectory.load(changed(traj.save(tmp_path / "run.npz", overwrite=True), name, values))
+    short = cvi.Trajectory.load(
+        changed(traj.save(tmp_path / "run.npz", overwrite=True), "input/control", np.zeros((3, 6)))
+    )
     with pytest.raises(cvi.ContactviError, match="do not cover the run"):
         short.sensitivity("v0")
 

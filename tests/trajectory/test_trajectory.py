@@ -77,7 +77,7 @@ def test_impacts_account_for_the_energy(ball):
         assert event.energy_change == pytest.approx(jump, abs=1e-12 * ball.energy[0])
         assert event.gamma_plus == pytest.approx(-0.8 * event.gamma_minus, rel=16 * EPS)
     rest = ball.energy - ball.energy[0] - ball.impact_energy
-    assert np.abs(rest).max() <= 10 * ball.options.tol * ball.energy[0]
+    assert np.abs(rest).max() <= 10 * ball.options.solver_tol * ball.energy[0]
 
 
 def test_events_are_a_sequence(ball):
@@ -177,7 +177,7 @@ def test_a_loaded_run_can_be_run_again(ball, tmp_path):
 def test_limits_and_runs_without_events_are_stored(tmp_path):
     for steps in (10, 400):
         traj = cvi.simulate(slider_scene(), duration=steps * 1e-3, dt=1e-3)
-        loaded = cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))
+        loaded = cvi.Trajectory.load(traj.save(tmp_path / "run.npz", overwrite=True))
         assert [event.pair for event in loaded.events] == [event.pair for event in traj.events]
         assert loaded.gaps[1] == []
 
@@ -451,7 +451,7 @@ def test_a_failed_save_leaves_the_old_file(ball, saved, monkeypatch):
 
     monkeypatch.setattr(np, "savez", fail)
     with pytest.raises(cvi.InputError, match="No space left on device"):
-        ball.save(saved)
+        ball.save(saved, overwrite=True)
     assert saved.read_bytes() == before
     assert [path.name for path in saved.parent.iterdir()] == ["run.npz"]
 

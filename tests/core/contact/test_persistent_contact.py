@@ -156,7 +156,7 @@ def test_steps_are_the_oracle_s(name):
     """
     loose = 1e6 if name == "ball on a ball, rolling" else 1.0
     (scene, q, v), h, n = STEPS[name](), 0.01, 10
-    traj = cvi.simulate(scene, q, v, n * h, h, tol=1e-14)
+    traj = cvi.simulate(scene, q, v, n * h, h, solver_tol=1e-14)
     stiffness = [0.0, 4.0, 0.0] if name == "arm" else None
     oracle = PersistentSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
     p, anchors, modes = oracle.system.momentum(q, v), None, None
