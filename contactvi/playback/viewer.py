@@ -36,9 +36,9 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
             fps=60 and play=True, too; of a Simulator realtime: True, so that `sync` holds simulated time back to wall
             time, or a number of simulated seconds per second.
 
-    In a notebook the playback of a run is put into the cell whole: nothing is served, and no address is printed that leads
-    nowhere once the notebook is closed, unless open_browser=True. Elsewhere the page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
-    a file that needs no process, use `Trajectory.to_html`.
+    In a notebook the playback of a run is put into the cell whole: nothing is served, and no address is printed, unless
+    open_browser=True. Elsewhere the page is served while this process lives; a script that would end right away calls
+    `.wait()` on the result. For a file that needs no process, use `Trajectory.to_html`.
 
     A simulator is shown while it runs, at each call of `sync`, at most 60 times a second::
 
