@@ -21,11 +21,13 @@ except ImportError:
 
 from contactvi.gym.environment import SceneEnv
 from contactvi.gym.hand import HandBallEnv
+from contactvi.gym.leg import LegStandEnv
 from contactvi.gym.quadruped import QuadrupedStandEnv
 from contactvi.gym.vector import ThreadedVectorEnv, make_vec
 
 for _name, _env, _several in (
     ("HandBall-v0", "hand:HandBallEnv", "vector:hand_balls"),
+    ("LegStand-v0", "leg:LegStandEnv", "vector:standing_legs"),
     ("QuadrupedStand-v0", "quadruped:QuadrupedStandEnv", "vector:standing_quadrupeds"),
 ):
     gymnasium.register(
@@ -34,4 +36,4 @@ for _name, _env, _several in (
         vector_entry_point=f"contactvi.gym.{_several}",
     )
 
-__all__ = ["HandBallEnv", "QuadrupedStandEnv", "SceneEnv", "ThreadedVectorEnv", "make_vec"]
+__all__ = ["HandBallEnv", "LegStandEnv", "QuadrupedStandEnv", "SceneEnv", "ThreadedVectorEnv", "make_vec"]

@@ -4,26 +4,31 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError
+from contactvi.errors import InputError, SimulationError, did_you_mean
 from contactvi.inputs import array, check_choice, count, positive, short
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.together import step_together
 from contactvi.status import Status
 
+if TYPE_CHECKING:
+    from contactvi.playback.live import LiveView
+    from contactvi.playback.sketch import Sketch
+
 Array = NDArray[np.float64]
 Observation = NDArray[np.float32]
+StepResult = tuple[Observation, float, bool, bool, dict[str, Any]]
 
 ACTIONS = ("target", "torque")
 DT, FRAME = 2e-3, 10  # of a step [s], steps between two actions
 MOST = 100.0  # of what is observed [m, m/s, rad, rad/s]: spaces have to be bounded
-RENDER_MODES = ["ansi"]
+RENDER_MODES = ["human", "rgb_array", "ansi"]
 
 
 class SceneEnv(gymnasium.Env[Observation, Observation]):
@@ -47,11 +52,13 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         dt: of a step [s]. frame: number of steps between two actions.
         record: what the simulator records (`Options.record`); True: all of an episode, so that
             `env.unwrapped.simulator.trajectory()` has it, for example to_html("episode.html").
-        render_mode: None, or "ansi": a line of text. A picture of a scene takes longer than many steps of it: record an
-            episode, and play it.
+        render_mode: None; "rgb_array": pictures of `picture_size`, drawn by this process without a browser or a window;
+            "human": the live view in the browser, in real time, one environment at a time; "ansi": a line of text. A
+            picture takes longer than many steps; a recorded episode can be played and turned.
 
     Attributes:
         simulator: the scene as it is now.
+        picture_size: width and height of pictures [pixels]; what is set before the first one holds.
         nominal: as given; an episode may have its own.
         frame: as given.
 
@@ -59,6 +66,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         InputError: for a bad argument.
     """
 
+    picture_size = 480, 360
     metadata = {"render_modes": RENDER_MODES, "render_fps": round(1.0 / (DT * FRAME))}
 
     def __init__(
@@ -77,10 +85,14 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise InputError(
-                f"There is no render mode {render_mode!r}", name="render_mode", expected="None | 'ansi'",
-                got=short(render_mode), remedy="Use record=True and env.unwrapped.simulator.trajectory().to_html(path)",
+                f"There is no render mode {render_mode!r}", name="render_mode", got=short(render_mode),
+                expected="None | " + " | ".join(map(repr, RENDER_MODES)),
+                remedy=did_you_mean(str(render_mode), RENDER_MODES),
             )  # fmt: skip
         self.render_mode = render_mode
+        self._sketch: Sketch | None = None
+        self._live: LiveView | None = None
+        self._prepared: tuple[Any, StepResult] | None = None  # of an action that was made with those of others
         check_choice("actions", actions, ACTIONS, "What actions are")
         self.simulator = Simulator(scene, dt, record="states" if record else False)
         self.frame, self._pushed = count("frame", frame), actions == "torque"
@@ -124,16 +136,33 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         self.simulator.reset(q, v)
         self.count = 0
         self.action = np.zeros(len(self._reach))
+        self._prepared = None
+        if self.render_mode == "human":
+            self._show()
         return self._seen(q, v), self._info(self.simulator.status)
 
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> StepResult:
         """Go on by a frame; return observation, reward, terminated, truncated, info.
 
         Raises:
             InputError: for an action of another shape, or with numbers that are not finite.
             SimulationError: before `reset`, and after the engine found no way on.
         """
-        return step_all([self], [action], 1)[0]
+        if self._prepared is None:
+            return step_all([self], [action], 1)[0]
+        foreseen, result = self._prepared
+        self._prepared = None
+        if not np.array_equal(foreseen, action):
+            raise InputError(
+                "A wrapper changes actions in a way that was not foreseen", name="action",
+                expected="an action that only gymnasium.ActionWrappers change", got=short(action),
+                remedy="Step this environment alone: in stable_baselines3's DummyVecEnv",
+            )  # fmt: skip
+        return result
+
+    def prepare(self, action: Any, result: StepResult) -> None:
+        """Keep what the next `step` returns: that of an action that was made together with those of others."""
+        self._prepared = action, result
 
     def begin(self, action: Any) -> tuple[Array, Array | None]:
         """Take an action; return what acts in the next frame: generalized force (nv,), targets of the servos (n,).
@@ -149,19 +178,54 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         force[self._dofs] += at
         return force, None
 
-    def end(self, status: Status) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def end(self, status: Status) -> StepResult:
         """Return what `step` returns, after the simulator has made its steps."""
         self.count += 1
+        if self.render_mode == "human":
+            self._show()
         q, v = self.simulator.q, self.simulator.v
         reward, ended = self.judge(q, v)
         return self._seen(q, v), float(reward), ended, self.count >= self._frames or not status.ok, self._info(status)
 
-    def render(self) -> str | None:
-        """Return a line of text with render_mode="ansi", else None."""
-        if self.render_mode is None:
+    def render(self) -> Any:
+        """Return a picture (height, width, 3), uint8, with "rgb_array"; a line of text with "ansi"; else None.
+
+        Raises:
+            SimulationError: for a picture before `reset`.
+        """
+        if self.render_mode == "rgb_array":
+            return self._drawn()
+        if self.render_mode != "ansi":
             return None
         numbers = np.array2string(self.simulator.q, precision=3, suppress_small=True, max_line_width=10**6)
         return f"t = {self.simulator.t:.2f} s, {self.simulator.impacts} impacts, q = {numbers}\n"
+
+    def close(self) -> None:
+        """Close the live view, if there is one."""
+        if self._live is not None:
+            self._live.close()
+            self._live = None
+
+    def _drawn(self) -> NDArray[np.uint8]:
+        """Return the picture; the camera is placed at the first one."""
+        from contactvi.playback.sketch import Sketch
+
+        if self.simulator.status is None:
+            raise SimulationError(
+                "There is nothing to draw", expected="an episode that has begun", got="none",
+                remedy="Call env.reset() first",
+            )  # fmt: skip
+        if self._sketch is None:
+            self._sketch = Sketch(self.simulator.scene, self.simulator.q, size=self.picture_size)
+        return self._sketch.draw(self.simulator.q)
+
+    def _show(self) -> None:
+        """Show the simulator as it is now in the live view, which is opened where there is none."""
+        from contactvi.playback.viewer import view
+
+        if self._live is None:
+            self._live = view(self.simulator, realtime=True)
+        self._live.sync()
 
     def _checked(self, action: Any) -> Array:
         values = np.asarray(action)
@@ -197,9 +261,7 @@ def _driven(scene: Scene, pushed: bool) -> tuple[list[str], list[int]]:
     return names, [int(model.idx_vs[model.getJointId(name)]) for name in names]
 
 
-def step_all(
-    envs: Sequence[SceneEnv], actions: Sequence[Any], workers: int | None
-) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
+def step_all(envs: Sequence[SceneEnv], actions: Sequence[Any], workers: int | None) -> list[StepResult]:
     """Step environments of one kind side by side in threads; return what the `step` of each would have.
 
     Args:

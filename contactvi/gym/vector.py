@@ -12,13 +12,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.gym.environment import Observation, SceneEnv, step_all
+from contactvi.gym.environment import Observation, SceneEnv, StepResult, step_all
 from contactvi.gym.hand import HandBallEnv
+from contactvi.gym.leg import LegStandEnv
 from contactvi.gym.quadruped import QuadrupedStandEnv
 from contactvi.inputs import count, short
 from contactvi.threads import Workers
 
-Result = tuple[Observation, float, bool, bool, dict[str, Any]]
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
@@ -37,6 +37,7 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
 
     Attributes:
         envs: the environments.
+        workers: number of threads.
 
     Raises:
         InputError: for a bad argument.
@@ -56,12 +57,17 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         self._mode = _mode(autoreset_mode)
         self.envs = tuple(make() for _ in range(self.num_envs))
         first = self.envs[0]
+        if first.render_mode == "human" and self.num_envs > 1:
+            raise InputError(
+                "Live views of many environments", name="render_mode", expected="None | 'rgb_array' | 'ansi'",
+                got="'human'", remedy="Show one with gymnasium.make(name, render_mode='human')",
+            )  # fmt: skip
         self.metadata = {**first.metadata, "autoreset_mode": self._mode}
         self.render_mode = first.render_mode
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._workers = Workers(workers).number
+        self.workers = Workers(workers).number
         self._ended: Flags = np.ones(self.num_envs, dtype=bool)  # waits for a reset
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
 
@@ -106,7 +112,7 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
                 remedy="Call reset(options={'reset_mask': mask}) with the environments that have to start again",
             )  # fmt: skip
         going = [k for k in range(self.num_envs) if not self._ended[k]]
-        stepped = step_all([self.envs[k] for k in going], [values[k] for k in going], self._workers) if going else []
+        stepped = step_all([self.envs[k] for k in going], [values[k] for k in going], self.workers) if going else []
         results = dict(zip(going, stepped, strict=True))
         found = [self._result(k, results.get(k)) for k in range(self.num_envs)]
         seen, rewards, terminated, truncated, each = zip(*found, strict=True)
@@ -118,7 +124,7 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         self._ended = np.zeros(self.num_envs, bool) if self._mode == AutoresetMode.SAME_STEP else ends[0] | ends[1]
         return self._seen.copy(), np.array(rewards), *ends, infos
 
-    def _result(self, k: int, result: Result | None) -> Result:
+    def _result(self, k: int, result: StepResult | None) -> StepResult:
         """Return the result of an environment, reset where its episode has ended; None: in the step before."""
         if result is None:
             seen, info = self.envs[k].reset()
@@ -133,6 +139,11 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
     def render(self) -> tuple[Any, ...] | None:
         """Return what the environments render."""
         return None if self.render_mode is None else tuple(env.render() for env in self.envs)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the environments."""
+        for env in self.envs:
+            env.close()
 
     def _seeds(self, seed: Any) -> list[int | None]:
         if seed is None or isinstance(seed, (int, np.integer)):
@@ -160,6 +171,11 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
 def hand_balls(num_envs: int = 1, **options: Any) -> ThreadedVectorEnv:
     """Return HandBallEnv in threads; options of it and of ThreadedVectorEnv."""
     return _in_threads(HandBallEnv, num_envs, **options)
+
+
+def standing_legs(num_envs: int = 1, **options: Any) -> ThreadedVectorEnv:
+    """Return LegStandEnv in threads; options of it and of ThreadedVectorEnv."""
+    return _in_threads(LegStandEnv, num_envs, **options)
 
 
 def standing_quadrupeds(num_envs: int = 1, **options: Any) -> ThreadedVectorEnv:

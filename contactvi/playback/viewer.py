@@ -36,8 +36,9 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
         **options: as of `Trajectory.to_html`; fps and play of a Trajectory alone, and of a Simulator alone
             realtime.
 
-    The page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
-    a file that needs no process, use `Trajectory.to_html`.
+    In a notebook the playback of a run is put into the cell whole: nothing is served, and no address is printed, unless
+    open_browser=True. Elsewhere the page is served while this process lives; a script that would end right away calls
+    `.wait()` on the result. For a file that needs no process, use `Trajectory.to_html`.
 
     A simulator is shown while it runs, at each call of `sync`, at most 60 times a second::
 
@@ -62,7 +63,8 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
         check_keywords(write_html, options, "The view of a run", skip=["overwrite"])
         shown = View(page_data(run, **options))
     kind = "Live view" if isinstance(shown, LiveView) else "Playback"
-    print(f"{kind} at {shown.url}", flush=True)  # at once into a pipe, too
+    if opened or isinstance(shown, LiveView) or not _in_notebook():
+        print(f"{kind} at {shown.url}", flush=True)  # at once into a pipe, too
     if opened:
         webbrowser.open(shown.url, new=2)
     return shown
@@ -79,32 +81,41 @@ def _is_stepped(run: Run | Stepped) -> TypeIs[Stepped]:
 
 
 class View:
-    """A playback that is being served at `url`."""
+    """A playback. It is served at `url` from the moment on at which that is asked for; a cell shows it without."""
 
     def __init__(self, data: dict[str, Any]) -> None:
         self._data = data
-        page = fill_page(data).encode("utf-8")
-        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(page))
-        self._server.daemon_threads = True
-        self.url = f"http://127.0.0.1:{self._server.server_address[1]}/"
-        self._thread = threading.Thread(target=self._server.serve_forever, name="contactvi-view", daemon=True)
-        self._thread.start()
+        self._server: http.server.ThreadingHTTPServer | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def url(self) -> str:
+        """Address of the page, which is served from now on; after `close` at another one."""
+        if self._server is None:
+            page = fill_page(self._data).encode("utf-8")
+            self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(page))
+            self._server.daemon_threads = True
+            self._thread = threading.Thread(target=self._server.serve_forever, name="contactvi-view", daemon=True)
+            self._thread.start()
+        return f"http://127.0.0.1:{self._server.server_address[1]}/"
 
     def wait(self) -> None:
         """Serve until Ctrl-C."""
         try:
-            while self._thread.is_alive():
+            while self._thread is not None and self._thread.is_alive():
                 self._thread.join(0.2)
         except KeyboardInterrupt:
             self.close()
 
     def close(self) -> None:
         """Stop serving."""
-        self._server.shutdown()
-        self._server.server_close()
+        if self._server is not None:
+            self._server.shutdown()
+            self._server.server_close()
+            self._server = None
 
     def __repr__(self) -> str:
-        return f"<View at {self.url}>"
+        return "<View>" if self._server is None else f"<View at {self.url}>"
 
     def _repr_html_(self) -> str:
         return inline(self._data)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from contactvi.files import write_atomic
+from contactvi.reproduce.ensemble import Ensemble
 from contactvi.reproduce.runs import BALL_STEP, HEIGHTS, L2_STEP, LONG_STEP, Convergence, Dense, LongRun
 from contactvi.reproduce.systems import GRAVITY, MAPS, run_b
 
@@ -131,6 +132,43 @@ def convergence_figure(table: Convergence, fine: Convergence, folder: Path) -> P
         columns,
         "Convergence on problem B against the DOP853 reference: marks at the steps of the table, dots at many steps. "
         "CTEC and MHC are smooth in h; DTEC's error depends on where in its step an impact falls.",
+    )
+
+
+def ensemble_figure(data: Ensemble, folder: Path) -> Picture:
+    """Long runs from many starts and with several steps: how much the mean energy changes, and how far off it is."""
+    figure = Figure(figsize=(_WIDTH, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    lines = dict(zip(data.deciles, ("--", "-", ":"), strict=True))
+    for h, line in lines.items():
+        spread, mean = data.spread(h), np.abs(data.mean(h))
+        share = (np.arange(len(spread)) + 1.0) / len(spread)
+        for k, name in enumerate(MAPS):
+            label = name.upper() if line == "-" else None
+            for axis, values in ((left, spread), (right, mean)):
+                axis.step(np.sort(values[:, k]), share, where="post", color=_COLOR[name], ls=line, lw=1.2, label=label)
+    for axis in (left, right):
+        axis.set_xscale("log")
+    left.set_xlabel("range of the means over the tenths of 1000 s [J]")
+    right.set_xlabel("|mean of H - H(0)| [J]")
+    _finish(left, "share of starts below", loc="lower right")
+    _finish(right, "", loc="")
+    steps = ", ".join(f"{h:g} s {name}" for h, name in zip(lines, ("dashed", "solid", "dotted"), strict=True))
+    number = {h: len(values) for h, values in data.deciles.items()}
+    start = np.concatenate([data.start[:count] for count in number.values()])
+    columns = {"h_s": np.repeat(list(number), list(number.values()))}
+    columns |= {"start_angle_1_rad": start[:, 0], "start_angle_2_rad": start[:, 1]}
+    for k, name in enumerate(MAPS):
+        columns[f"spread_{name}_J"] = np.concatenate([data.spread(h)[:, k] for h in number])
+        columns[f"mean_{name}_J"] = np.concatenate([data.mean(h)[:, k] for h in number])
+    figure.suptitle(f"Long runs from {len(data.start)} starts near problem B, h = {steps}", fontsize=11)
+    return _write(
+        folder,
+        "ensemble",
+        figure,
+        columns,
+        "The long run over an ensemble: MHC's energy is the flattest from nearly every start (left); whose mean is "
+        "nearest to H(0) depends on the start (right).",
     )
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from contactvi.files import write_atomic
 from contactvi.reproduce.figures import Picture
 from contactvi.reproduce.row import Row
+from contactvi.reproduce.systems import MAPS
 from contactvi.version import version
 
 COLUMNS = ("row", "map", "case", "quantity", "value", "unit", "expected", "as_expected", "verdict_of_the_row")
@@ -57,7 +58,7 @@ def report(rows: Sequence[Row], pictures: Sequence[Picture], seconds: float, qui
         "",
         "## Table I",
         "",
-        *_markdown([["claim", "measured", "expected", "verdict"], *([*_cells(row)] for row in rows)]),
+        *_markdown([["claim", "paper", "found", "measured", "expected", "verdict"], *([*_cells(row)] for row in rows)]),
         "",
         "Every number is in `table.csv`.",
         *(line for row in rows if row.table for line in _small_table(row)),
@@ -70,8 +71,10 @@ def report(rows: Sequence[Row], pictures: Sequence[Picture], seconds: float, qui
         *(line for picture in others for line in _picture(picture)),
         "## How the verdicts are made",
         "",
-        "*Expected* is what an earlier measurement of the claims found on the same problem. A claim and the numbers "
-        "are judged separately, by these rules:",
+        "*Paper* and *found* say a word of each of CTEC, DTEC and MHC. One rule makes all verdicts: a claim holds "
+        "where paper and numbers say the same of all three maps, in part where they do of one or two. *Expected* is "
+        "what an earlier measurement found on the same problem; whether the numbers are these is judged separately. "
+        "What is found follows from the numbers so:",
         "",
         *(f"- **{row.key}**: {row.rule}.{' ' + row.note if row.note else ''}" for row in rows),
         "",
@@ -90,7 +93,11 @@ def summary(rows: Sequence[Row]) -> str:
 
 def _cells(row: Row) -> list[str]:
     measured = row.measured.replace("; ", "<br>").replace(": CTEC", ":<br>CTEC")
-    return [row.claim, measured, row.expected.replace("; ", "<br>"), verdict(row).replace("; ", ";<br>")]
+    words = [
+        "<br>".join(f"{name.upper()} {word}" for name, word in zip(MAPS, said, strict=True))
+        for said in (row.paper, row.found)
+    ]
+    return [row.claim, *words, measured, row.expected.replace("; ", "<br>"), verdict(row).replace("; ", ";<br>")]
 
 
 def _small_table(row: Row) -> list[str]:

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from contactvi.reproduce import figures, laws, runs
+from contactvi.reproduce import ensemble, figures, laws, runs
 from contactvi.reproduce import report as reports
 from contactvi.reproduce.row import Row
 from contactvi.reproduce.systems import DURATION, STEPS
@@ -31,15 +31,17 @@ class Size:
         fine: steps h in the convergence plot.
         repeats: of each timed step.
         starts: random starts of the L2 row.
+        long_starts: starts of the ensemble of long runs.
     """
 
     fine: int
     repeats: int
     starts: int
+    long_starts: int
 
 
-FULL = Size(fine=250, repeats=1000, starts=1000)
-QUICK = Size(fine=60, repeats=100, starts=60)
+FULL = Size(fine=250, repeats=1000, starts=1000, long_starts=96)
+QUICK = Size(fine=60, repeats=100, starts=60, long_starts=4)
 
 
 @dataclass(frozen=True)
@@ -65,18 +67,23 @@ def reproduce(folder: Path, quick: bool = False, progress: Report | None = None)
         tell("momentum", laws.momentum_row),
         tell("symplecticity", laws.impact_symplectic_row),
         tell("symplecticity", laws.smooth_symplectic_row),
+        tell("kinds of maps", laws.implementation_row),
+        tell("kinds of maps", laws.kind_row),
     ]
     table = tell("orders", lambda: runs.convergence(np.array(STEPS)))
     long = tell("1000 s of problem B", runs.long_run)
     cost = tell("cost of an impact", lambda: runs.cost_row(size.repeats, tell.part))
     dense = tell("dense impacts", runs.dense_runs)
     start, errors = tell("random starts", lambda: runs.l2_errors(size.starts, tell.part))
-    rows += [runs.order_row(table), runs.long_run_row(long), cost, runs.dense_row(dense), runs.l2_row(errors)]
+    many = tell("long runs", lambda: ensemble.ensemble(size.long_starts, tell.part))
     fine = tell("convergence", lambda: runs.convergence(fine_steps(size.fine), tell.part))
+    rows += [runs.structured_row(table, fine), runs.long_run_row(long), ensemble.flat_row(many)]
+    rows += [cost, runs.dense_row(dense), runs.l2_row(errors)]
     pictures = [
         tell("Fig. 1", lambda: figures.energy_figure(folder)),
         tell("figures", lambda: figures.convergence_figure(table, fine, folder)),
         tell("figures", lambda: figures.long_run_figure(long, folder)),
+        tell("figures", lambda: figures.ensemble_figure(many, folder)),
         tell("figures", lambda: figures.dense_figure(dense, folder)),
         tell("figures", lambda: figures.l2_figure(start, errors, folder)),
     ]
@@ -98,7 +105,8 @@ class _Stages:
 
     # Rough wall times [s] of the longest stages (quick, full); the others count as _SMALL.
     _WEIGHT = {"cost of an impact": (1.0, 8.0), "random starts": (2.0, 30.0), "convergence": (1.0, 4.0)}
-    _SMALL, _COUNT = 0.4, 12
+    _WEIGHT |= {"long runs": (3.0, 60.0)}
+    _SMALL, _COUNT = 0.4, 15
 
     def __init__(self, progress: Report | None, quick: bool) -> None:
         self._progress = progress

@@ -80,6 +80,22 @@ def ball(height: float) -> Scene:
     return scene
 
 
+def sliding_ball() -> Scene:
+    """Return a ball of 2 kg on a vertical slide over the ground; its gap is the configuration [m]. It is elastic."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(joint, pin.Inertia(2.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+    geometry = pin.GeometryModel()
+    ground = coal.Halfspace(np.array([0.0, 0.0, 1.0]), -_RADIUS)
+    first = geometry.addGeometryObject(pin.GeometryObject("ground", 0, pin.SE3.Identity(), ground))
+    second = geometry.addGeometryObject(pin.GeometryObject("ball", joint, pin.SE3.Identity(), coal.Sphere(_RADIUS)))
+    geometry.addCollisionPair(pin.CollisionPair(first, second))
+    scene = Scene.from_pinocchio(model, geometry, name="ball")
+    scene.set_contact(restitution=1.0)
+    return scene
+
+
 def two_bodies() -> tuple[Scene, Array]:
     """Return two free bodies without gravity and velocities (12,) with which they collide off-centre, both spinning."""
     scene = Scene((0.0, 0.0, 0.0))

@@ -18,7 +18,7 @@ from contactvi.gym import hand, quadruped
 from contactvi.gym.environment import DT, FRAME, SceneEnv
 from helpers.commands import environment
 
-NAMES = ("contactvi/HandBall-v0", "contactvi/QuadrupedStand-v0")
+NAMES = ("contactvi/HandBall-v0", "contactvi/QuadrupedStand-v0", "contactvi/LegStand-v0")
 
 
 def make(name: str, **options: object) -> SceneEnv:
@@ -45,7 +45,7 @@ def drawn(env: SceneEnv, count: int, seed: int = 0) -> np.ndarray:
 def test_gymnasium_has_nothing_to_say(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for mode in (None, "ansi"):
+        for mode in (None, "ansi", "rgb_array"):
             check_env(make(name, render_mode=mode))
         gymnasium.make(name).reset(seed=0)
 
@@ -81,7 +81,7 @@ def test_equal_seeds_give_equal_bits(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_episode_lasts_as_long_as_it_should(name):
-    options = {"push": 0.0} if "Quadruped" in name else {}
+    options = {} if "Hand" in name else {"push": 0.0}
     env = make(name, duration=0.2, **options)
     env.reset(seed=0)
     zero = np.zeros(env.action_space.shape, np.float32)
@@ -191,7 +191,7 @@ def test_an_episode_can_be_played(name, tmp_path):
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: contactvi.gym.HandBallEnv(render_mode="human"), "render mode 'human'"),
+        (lambda: contactvi.gym.HandBallEnv(render_mode="rgb_aray"), "render mode 'rgb_aray'.*Did you mean 'rgb_array'"),
         (lambda: contactvi.gym.HandBallEnv(duration=-1.0), "duration"),
         (lambda: contactvi.gym.QuadrupedStandEnv(push=-1.0), "push"),
         (lambda: make(NAMES[0]).reset(options={"place": (1.0,)}), "place"),

@@ -11,7 +11,7 @@ import contactvi as cvi
 import contactvi.gym
 from contactvi.gym.environment import SceneEnv
 
-NAMES = ("contactvi/HandBall-v0", "contactvi/QuadrupedStand-v0")
+NAMES = ("contactvi/HandBall-v0", "contactvi/QuadrupedStand-v0", "contactvi/LegStand-v0")
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
 
 

@@ -193,6 +193,28 @@ def test_pictures_show_forces_on_wish(tmp_path):
 
 
 @pytest.mark.browser
+def test_pictures_tell_how_long_a_newton_is(tmp_path):
+    """The arrow of a known weight beside that of the scale: the scale's is one of 1, 2, 5, 10, ... newtons."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, mass=3.0, color=(0.8, 0.8, 0.2, 1.0), placement=(0, 0, 0.1))
+    scene.set_contact(restitution=0.0)
+    run = cvi.simulate(scene, duration=0.2, dt=1e-2)
+    file = run.render(tmp_path / "a.png", at=0.1, size=(640, 480), camera="side")
+    with Image.open(file) as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    blue = np.abs(pixels - (0x1E, 0x4F, 0xBF)).max(axis=2) < 60
+    scale_length = np.ptp(np.flatnonzero(blue[:, :200].any(axis=0))) + 1
+    grey = np.abs(pixels[:, 310:330] - 0x8C).max(axis=2) < 6  # the point from which the force's arrow starts
+    arrow_length = np.flatnonzero(grey.any(axis=1)).mean() - np.flatnonzero(blue[:, 300:340].any(axis=1))[0]
+    newtons = 3.0 * 9.81 * scale_length / arrow_length
+    known = np.array([digit * 10.0**power for power in range(-1, 4) for digit in (1, 2, 5)])
+    nearest = known[np.argmin(np.abs(np.log(known / newtons)))]
+    assert newtons == pytest.approx(nearest, rel=0.1)  # the ball is not just at the target, and pixels are whole
+    assert 0.06 * 640 < scale_length < 0.17 * 640
+
+
+@pytest.mark.browser
 def test_a_browser_without_webgl_is_said(falling, tmp_path, monkeypatch):
     plain = headless.pictures
     blind = "<script>HTMLCanvasElement.prototype.getContext = () => null;</script></head>"

@@ -21,7 +21,8 @@ CELLS = (
     scene.add_sphere("ball", 0.1, placement=(0, 0, 0.5))
     traj = cvi.simulate(scene, duration=0.1, dt=1e-3)
     """,
-    "shown = cvi.view(traj)\nshown",
+    "shown = cvi.view(traj)\nimport threading\n"
+    "print('served', any('contactvi' in thread.name for thread in threading.enumerate()))\nshown",
     "sim = cvi.Simulator(scene, dt=1e-3)\nsim.reset()\nlive = cvi.view(sim)\nlive",
     "print('opened', len(opened))\nwanted = cvi.view(traj, open_browser=True)\nprint('opened', opened == [wanted.url])",
     "shown.close(); live.close(); wanted.close()",
@@ -45,6 +46,11 @@ def test_it_shows_itself_and_opens_no_browser(monkeypatch, tmp_path):
     ]  # fmt: skip
     assert pages[0].startswith("<iframe srcdoc=")
     assert pages[1].startswith('<iframe src="http://127.0.0.1:')
+    told = str([output for output in notebook.cells[1].outputs if "text/html" not in output.get("data", {})])
+    assert "served False" in told
+    texts = [output.get("data", {}).get("text/plain", "") for output in notebook.cells[1].outputs]
+    assert "<View>" in texts
+    assert "http" not in told + "".join(texts)  # no address that is dead once the notebook is closed
     printed = "".join(output["text"] for output in notebook.cells[3].outputs if output.output_type == "stream")
     assert "opened 0\n" in printed
     assert "opened True\n" in printed

@@ -12,23 +12,26 @@ from typer.testing import CliRunner
 
 import contactvi as cvi
 from contactvi.commands import cli
-from contactvi.reproduce import figures, laws, report, runs, systems
+from contactvi.reproduce import ensemble, figures, laws, report, runs, systems
 from contactvi.reproduce import reproduce as reproduction
 from contactvi.reproduce.check import about, at_most, between, near, reported
 from contactvi.reproduce.reference import energy, reference
 from contactvi.reproduce.row import HOLDS, HOLDS_NOT, IN_PART, Row
 from oracles import problem_b as oracle
 
-PICTURES = ("fig1_energy", "convergence", "long_run_energy", "dense_impacts", "l2_errors")
+PICTURES = ("fig1_energy", "convergence", "long_run_energy", "ensemble", "dense_impacts", "l2_errors")
 FILE = pathlib.Path(__file__).resolve().parents[2] / "models" / "double_pendulum_wall.toml"
 # The rows whose verdict does not depend on the machine or on the number of random starts.
 ROBUST = {
     "own scalar": HOLDS,
     "momentum": HOLDS,
-    "symplectic impact": HOLDS,
+    "symplectic impact": IN_PART,  # CTEC is symplectic on the ball, where MHC is
     "symplectic step": HOLDS,
-    "order": IN_PART,  # DTEC scatters about 2
+    "implementation": HOLDS,
+    "kind of map": HOLDS,
+    "structured convergence": HOLDS,
     "long-run energy": HOLDS,
+    "flattest energy": HOLDS,
     "dense impacts": HOLDS,
 }
 
@@ -50,7 +53,7 @@ def read(path: pathlib.Path) -> tuple[list[str], np.ndarray]:
 @pytest.mark.slow
 def test_a_quick_run_is_quick_and_complete(quick):
     result, folder, seconds, _ = quick
-    assert seconds < 60.0
+    assert seconds < 150.0  # of two cores that others use too
     names = {"report.md", "table.csv"} | {f"{name}.{ending}" for name in PICTURES for ending in ("png", "csv")}
     assert {path.name for path in folder.iterdir()} == names
     assert {path.name for path in result.files} == names
@@ -60,7 +63,7 @@ def test_a_quick_run_is_quick_and_complete(quick):
         assert values.shape[0] > 5
         assert values.shape[1] == len(header)
         assert np.all(np.isfinite(values))
-    assert [row.key for row in result.rows] == [*list(ROBUST)[:6], "cost", "dense impacts", "L2 error"]
+    assert [row.key for row in result.rows] == [*list(ROBUST)[:-1], "cost", "dense impacts", "L2 error"]
 
 
 def test_the_robust_rows_have_their_verdicts(quick):
@@ -85,7 +88,7 @@ def test_the_report_says_every_claim_and_shows_every_picture(quick):
         assert f"`{name}.csv`" in text
     assert str(folder) not in text
     columns = {line.count(" | ") for line in text.splitlines() if line.startswith("| ")}
-    assert columns <= {3, 4}, "a bar in a cell breaks the table"
+    assert columns <= {4, 5}, "a bar in a cell breaks the table"
 
 
 def test_the_table_has_every_number(quick):
@@ -177,17 +180,87 @@ def test_expectations_read_as_one_phrase():
     assert reported("x", 1.0).of("ctec", "h = 1 s", "J").map == "ctec"
 
 
-def synthetic(order: dict[str, float]) -> runs.Convergence:
-    h = np.array(systems.STEPS)
-    return runs.Convergence(h, {name: h ** order[name] for name in systems.MAPS})
+@pytest.mark.parametrize(
+    ("found", "verdict"),
+    [(("yes", "no", "yes"), HOLDS), (("yes", "yes", "yes"), IN_PART), (("no", "no", "no"), IN_PART),
+     (("no", "yes", "varies"), HOLDS_NOT)],
+)  # fmt: skip
+def test_one_rule_makes_all_verdicts(found, verdict):
+    row = Row("k", "c", ("yes", "no", "yes"), found, "m", "e", "r", [])
+    assert row.verdict == verdict
+    assert report.verdict(row) == f"{verdict}; reported"
 
 
-def test_orders_can_fail():
-    two = dict.fromkeys(systems.MAPS, 2.0)
-    assert runs.order_row(synthetic(two)).verdict == HOLDS
-    row = runs.order_row(synthetic(two | {"mhc": 1.5}))
-    assert row.verdict == HOLDS_NOT
-    assert row.as_expected is False
+def test_verdicts_agree_with_what_the_report_says_of_each_map(quick):
+    for row in quick[0].rows:
+        assert len(row.paper) == len(row.found) == 3
+        same = sum(said == found for said, found in zip(row.paper, row.found, strict=True))
+        assert row.verdict == {3: HOLDS, 0: HOLDS_NOT}.get(same, IN_PART)
+        cells = " | ".join(
+            "<br>".join(f"{name.upper()} {word}" for name, word in zip(systems.MAPS, said, strict=True))
+            for said in (row.paper, row.found)
+        )
+        assert cells in (quick[1] / "report.md").read_text()
+
+
+def test_the_words_of_the_paper_are_those_of_its_table(quick):
+    rows = {row.key: row for row in quick[0].rows}
+    assert rows["structured convergence"].paper == ("yes", "no", "yes")
+    assert rows["symplectic impact"].paper == ("no", "yes", "sometimes")
+    assert rows["symplectic impact"].found == ("sometimes", "yes", "sometimes")
+    assert "too strong" in rows["symplectic impact"].note
+
+
+@pytest.mark.parametrize("name", systems.MAPS)
+def test_on_a_ball_under_gravity_every_map_is_symplectic(name):
+    """The exact flow through a bounce, q1 = v1 (h - a) - g (h - a)^2 / 2 with v1 = -(v0 - g a), is what CTEC steps."""
+    h, q0, v0 = 0.02, 0.024, -3.0
+    assert laws.ball_defect(name, h) <= 1e-10
+    if name == "dtec":
+        return
+    simulator = systems.stepper(systems.sliding_ball(), name, h)
+    simulator.reset(np.array([q0]), np.array([v0]))
+    simulator.step()
+    a = (v0 + np.sqrt(v0**2 + 2.0 * systems.GRAVITY * q0)) / systems.GRAVITY
+    up = systems.GRAVITY * a - v0
+    exact = [up * (h - a) - 0.5 * systems.GRAVITY * (h - a) ** 2, up - systems.GRAVITY * (h - a)]
+    assert [simulator.q[0], simulator.v[0]] == pytest.approx(exact, abs=1e-13)
+
+
+def synthetic(order: dict[str, float], steps: np.ndarray, scatter: float = 0.0) -> runs.Convergence:
+    noise = 1.0 + scatter * np.random.default_rng(3).uniform(-1.0, 1.0, len(steps))
+    return runs.Convergence(steps, {name: noise * steps ** order[name] for name in systems.MAPS})
+
+
+def structured(order: float, scatter: float) -> Row:
+    orders = dict.fromkeys(systems.MAPS, 2.0) | {"mhc": order}
+    steps, fine = np.array(systems.STEPS), np.geomspace(0.04, 0.0025, 60)
+    return runs.structured_row(synthetic(orders, steps), synthetic(orders, fine, scatter))
+
+
+def test_structured_convergence_needs_the_order_and_an_even_fall():
+    assert structured(2.0, 0.0).found == ("yes", "yes", "yes")
+    assert structured(1.5, 0.0).found == ("yes", "yes", "no")
+    assert structured(1.5, 0.0).as_expected is False
+    assert structured(2.0, 0.1).found == ("no", "no", "no")
+
+
+def many(flattest: int, of: int = 20) -> ensemble.Ensemble:
+    """Runs of which MHC's is the flattest in so many, and CTEC's mean the nearest to zero in all."""
+    ramp = np.linspace(-1.0, 1.0, 10)
+    size = np.tile([2.0, 3.0, 1.0], (of, 1))
+    size[flattest:] = [1.0, 3.0, 2.0]
+    mean = np.array([0.1, 2.0, 1.0])
+    return ensemble.Ensemble(np.zeros((of, 2)), {0.02: size[..., None] * ramp + mean[:, None]})
+
+
+def test_the_flattest_energy_is_that_of_nine_runs_in_ten():
+    row = ensemble.flat_row(many(18))
+    assert (row.found, row.verdict, row.as_expected) == (("no", "no", "yes"), HOLDS, True)
+    assert "flattest in 18 of 20 starts" in row.measured
+    assert "nearest to zero is CTEC's, which contradicts" in row.note
+    row = ensemble.flat_row(many(17))
+    assert (row.found, row.verdict, row.as_expected) == (("no", "no", "no"), IN_PART, False)
 
 
 def long_run(**drift: float) -> runs.LongRun:
@@ -198,7 +271,7 @@ def long_run(**drift: float) -> runs.LongRun:
 
 def test_long_run_energy_can_fail():
     assert runs.long_run_row(long_run(ctec=1e-4, dtec=1e-2, mhc=1e-5)).verdict == HOLDS
-    assert runs.long_run_row(long_run(ctec=1e-4, dtec=1e-2, mhc=5e-5)).verdict == HOLDS_NOT
+    assert runs.long_run_row(long_run(ctec=1e-4, dtec=1e-2, mhc=5e-5)).found == ("no", "no", "no")
 
 
 def dense(ctec: float, dtec: tuple[float, ...], fallbacks: int = 0) -> runs.Dense:
@@ -214,15 +287,17 @@ def test_dense_impacts_can_fail():
         HOLDS,
         True,
     )
-    assert runs.dense_row(dense(1e-10, known)).verdict == HOLDS_NOT
-    assert runs.dense_row(dense(1e-13, known[::-1])).verdict == HOLDS_NOT
+    assert runs.dense_row(dense(1e-10, known)).found == ("no", "no", "no")
+    assert runs.dense_row(dense(1e-13, (1e-13,) * 4)).found == ("yes", "yes", "yes")
+    assert runs.dense_row(dense(1e-13, known[::-1])).as_expected is False
     assert runs.dense_row(dense(1e-13, known, fallbacks=1)).as_expected is False
 
 
 def test_an_l2_ranking_that_is_always_the_same_holds():
     noise = np.random.default_rng(4).uniform(0.9, 1.1, (50, 3))
-    assert runs.l2_row(noise * [1.0, 3.0, 2.0]).verdict == HOLDS
-    assert runs.l2_row(noise).verdict == HOLDS_NOT
+    assert runs.l2_row(noise * [3.0, 2.0, 1.0]).verdict == HOLDS
+    assert runs.l2_row(noise * [1.0, 3.0, 2.0]).found == ("lowest", "highest", "mid")
+    assert runs.l2_row(noise).found == ("varies", "varies", "varies")
 
 
 def test_fine_steps_divide_the_duration():
@@ -233,9 +308,10 @@ def test_fine_steps_divide_the_duration():
 
 
 def test_bars_in_cells_do_not_break_a_table():
-    row = Row("k", "a | b", "|x|", "", "r", HOLDS_NOT, [at_most("n", 1.0, 2.0, "r")])
+    said = ("yes",) * 3
+    row = Row("k", "a | b", said, ("no",) * 3, "|x|", "", "r", [at_most("n", 1.0, 2.0, "r")])
     picture = figures.Picture("a.png", "a.csv", "caption")
     lines = report.report([row], [picture], 1.0, quick=True)
-    assert any(line.startswith("| a \\| b | \\|x\\| |") for line in lines)
+    assert any(line.startswith("| a \\| b | CTEC yes") and " | \\|x\\| |" in line for line in lines)
     assert report.summary([row]).startswith("**0 of 1 claims hold**")
     assert "Numbers differ" in report.summary([row])

@@ -1,0 +1,115 @@
+"""Pictures without a browser: where things are follows from the pinhole camera, and what is nearer hides the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactvi as cvi
+from contactvi.playback.lathe import outline_mesh
+from contactvi.playback.sketch import Sketch
+
+EYE, SIZE = (4.0, 0.0, 0.0), (200, 100)
+SCALE = 0.5 * 100 / np.tan(np.radians(15.0))  # [pixels] of 1 m at 1 m: 30 degrees of height
+
+
+def scene_of(**places: tuple[float, float, float]) -> cvi.Scene:
+    scene = cvi.Scene()
+    for name, place in places.items():
+        scene.add_sphere(name, radius=0.1, mass=1.0, placement=place)
+    return scene
+
+
+def drawn(scene: cvi.Scene, target=(0.0, 0.0, 0.0), q=None) -> np.ndarray:
+    q = scene.neutral() if q is None else q
+    return Sketch(scene, q, size=SIZE, camera={"eye": list(EYE), "target": list(target)}).draw(q)
+
+
+def body(picture: np.ndarray) -> np.ndarray:
+    """Pixels that are coloured: sky and ground are grey."""
+    return np.ptp(picture.astype(int), axis=2) > 15
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.5, 0.2), (1.0, -0.3, -0.1)])
+def test_a_ball_is_where_the_camera_sees_it(place):
+    rows, columns = np.nonzero(body(drawn(scene_of(ball=place))))
+    depth = EYE[0] - place[0]
+    # Seen from +x along -x, +y is to the right and +z upwards.
+    wanted = 100 + SCALE * place[1] / depth, 50 - SCALE * place[2] / depth
+    assert np.array([columns.mean() + 0.5, rows.mean() + 0.5]) == pytest.approx(wanted, abs=0.75)
+    # The outline is the cone around the ball, less what a polygon of 24 sides lacks, 1.2 %; pixels at its border count
+    # where they are covered in part.
+    radius = SCALE * 0.1 / np.sqrt(depth**2 - 0.1**2)
+    assert 0.988 * np.pi * (radius - 0.1) ** 2 <= len(rows) <= np.pi * (radius + 1.0) ** 2
+
+
+def test_what_is_nearer_hides_the_rest():
+    """In whatever order they are drawn: the near one is the first body, seen from the other side the second."""
+    ahead, behind = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+    both = scene_of(first=ahead, second=behind)
+    np.testing.assert_array_equal(drawn(both), drawn(scene_of(first=ahead)))
+    q = both.neutral()
+    around = Sketch(both, q, size=SIZE, camera={"eye": [-4.0, 0.0, 0.0], "target": [0.0, 0.0, 0.0]}).draw(q)
+    color = around[50, 100].astype(float) / drawn(both)[50, 100]
+    assert np.ptp(color) > 0.2  # another ball's colour
+
+
+def test_a_ground_ends_at_the_horizon_and_hides_what_is_below():
+    scene = scene_of(ball=(0.0, 0.0, 0.15))
+    scene.add_halfspace()
+    q = scene.neutral()
+    camera = {"eye": [4.0, 0.0, 0.5], "target": [0.0, 0.0, 0.5]}  # level: the horizon is in the middle
+    above = Sketch(scene, q, size=SIZE, camera=camera)
+    first = above.draw(q)
+    assert np.ptp(first[:49, :20].reshape(-1, 3), axis=0).max() == 0  # sky
+    assert np.ptp(first[60:, :20].reshape(-1, 3), axis=0).max() > 5  # squares
+    assert body(first).any()
+    q[2] = -0.2  # the ball is below the ground
+    assert not body(above.draw(q)).any()
+    q[2] = 0.15
+    np.testing.assert_array_equal(above.draw(q), first)
+
+
+def test_a_followed_body_stays_in_the_middle():
+    scene = scene_of(ball=(0.0, 0.0, 0.0), other=(0.5, 0.5, 0.0))
+    q = scene.neutral()
+    sketch = Sketch(scene, q, size=SIZE, camera={"follow": "ball"})
+    first = sketch.draw(q)
+    q[:3] += [3.0, -2.0, 1.0]
+    moved = sketch.draw(q)
+    assert body(first)[50, 100]
+    assert body(moved)[50, 100]
+    rows, columns = np.nonzero(body(moved))  # the other one is out of the picture
+    assert [columns.mean(), rows.mean()] == pytest.approx([99.5, 49.5], abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "sizes", "volume"),
+    [
+        ("box", (0.1, 0.2, 0.3), 8 * 0.1 * 0.2 * 0.3),
+        ("sphere", (0.2,), 4 / 3 * np.pi * 0.2**3),
+        ("ellipsoid", (0.1, 0.2, 0.3), 4 / 3 * np.pi * 0.1 * 0.2 * 0.3),
+        ("cylinder", (0.1, 0.3), np.pi * 0.1**2 * 0.6),
+        ("cone", (0.1, 0.3), np.pi * 0.1**2 * 0.6 / 3),
+        ("capsule", (0.1, 0.3), np.pi * 0.1**2 * 0.6 + 4 / 3 * np.pi * 0.1**3),
+    ],
+)
+def test_plain_shapes_have_their_volume_and_face_outwards(shape, sizes, volume):
+    """By the divergence theorem over the triangles; polygons of 24 sides lack up to 2.5 %."""
+    vertices, faces = outline_mesh(shape, sizes)
+    a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
+    found = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
+    assert 0.97 * volume < found <= volume * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("size", [(10, 100), (100, 5000), "wide", (1.5, 20)])
+def test_a_bad_size_is_refused(size):
+    scene = scene_of(ball=(0.0, 0.0, 0.0))
+    with pytest.raises(cvi.InputError, match="size"):
+        Sketch(scene, scene.neutral(), size=size)
+
+
+def test_an_unknown_body_is_not_followed():
+    scene = scene_of(ball=(0.0, 0.0, 0.0))
+    with pytest.raises(cvi.InputError, match="unknown body"):
+        Sketch(scene, scene.neutral(), camera={"follow": "bal"})
