@@ -8,12 +8,13 @@
                             self_collision = true, contact_friction = false
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
                             restitution = 0 | number | "solref", self_collision = true, allow = [] | ["flex"],
-                            turning_friction = false
+                            turning_friction = false, hfield = "prisms" | "smooth"
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[ellipsoid]]           name, radii, ...
     [[mesh]]                name, path, mass | density, scale, decompose = false | true | number, ...
     [[halfspace]]           normal, offset, name, color
+    [[heightfield]]         name, heights = [[...], ...] | path, size = [x, y], height, smooth = true, xyz, rpy, color
     [contact]               restitution, friction (defaults), disable = [["a", "b"]], enable = [["a", "b"]]
     [[contact.body]]        name, restitution, friction             of one body, part or geometry
     [[contact.pair]]        a, b, restitution, friction
@@ -167,7 +168,7 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
     elif section == "mjcf":
         options = {
             key: entry[key]
-            for key in ("prefix", "equality", "actuators", "restitution", "allow", "turning_friction")
+            for key in ("prefix", "equality", "actuators", "restitution", "allow", "turning_friction", "hfield")
             if key in entry
         }
         opened = open_mjcf(entry["path"], folder)
@@ -177,9 +178,22 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         scene.add_halfspace(**entry)
     else:
         entry.pop("xyz", None), entry.pop("rpy", None)
+        if section == "heightfield":
+            _take_heights(entry, folder)
         if section == "mesh":
             entry["mesh"] = resolve_path(entry.pop("path"), folder)
         getattr(scene, f"add_{section}")(**entry, placement=placement)
+
+
+def _take_heights(entry: dict[str, Any], folder: Path) -> None:
+    """Put the heights of a field, or the path of their file, in their place. Raises InputError for both or none."""
+    if ("heights" in entry) == ("path" in entry):
+        raise InputError(
+            "The heights of a field", name="heights", expected="heights or path",
+            got="both" if "path" in entry else "none", remedy='Write path = "hills.npy"',
+        )  # fmt: skip
+    if "path" in entry:
+        entry["heights"] = resolve_path(entry.pop("path"), folder)
 
 
 def _add_model(scene: Scene, part: Part, entry: Mapping[str, Any]) -> None:
