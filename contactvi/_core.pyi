@@ -564,6 +564,11 @@ def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3)
     Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.
     """
 
+def mesh_distances(vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    """
+    Signed distances (k,) of points (k, 3) from a closed mesh of outward triangles, negative inside.
+    """
+
 def hull_of_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]]:
     """
     Vertices (n, 3) and triangles (m, 3) of the hull of points, finite, in coal's order; none where there is no hull.

@@ -19,7 +19,7 @@ from contactvi.errors import InputError, SceneError
 from contactvi.importing import part as shapes
 from contactvi.importing.given_surfaces import GivenSurface, with_surface
 from contactvi.importing.height_fields import MOST_PRISMS, count_prisms, height_field, prisms
-from contactvi.importing.mesh_bodies import mesh_shapes, mesh_source, solid_inertia
+from contactvi.importing.mesh_bodies import MeshSource, mesh_inertia, mesh_shapes, mesh_source, solid_inertia
 from contactvi.importing.part import Part, check_body_name, shape_part
 from contactvi.importing.solids import Solid, deviation, sampled_solid, superellipsoid, torus
 from contactvi.inputs import array, flag, pose, real
@@ -108,8 +108,9 @@ class SceneShapes(ABC):
         density: float | None = None,
         scale: float | ArrayLike = 1.0,
         decompose: bool | float = False,
+        spacing: float | None = None,
     ) -> BodyHandle:
-        """Add a solid body made of a mesh: its convex hull, or convex pieces. The rest as in add_sphere.
+        """Add a solid body made of a mesh: its hull, convex pieces, or a solid of its shape. The rest as in add_sphere.
 
         The body's frame is that of the mesh. What collides is what has mass: the hull, or the pieces together, of one
         density. Edges of some pairs are rounded by up to 1 mm, as those of models (see `report`).
@@ -122,11 +123,20 @@ class SceneShapes(ABC):
             decompose: True: pieces by CoACD, which needs `pip install "contactvi[decompose]"` and takes seconds; a
                 number: the largest concavity of a piece, 0.05 by default, smaller for more of them. The shapes are
                 called name_0, name_1, ...
+            spacing: makes it a solid of its own shape, which need not be convex, as `add_solid` does: its signed
+                distance, sampled so far apart [m]. The mesh has to be closed; at sharp edges the surface is off by up
+                to a third of the spacing, and the report says by how much. Balls, ends of capsules, and vertices of
+                boxes and hulls touch it.
 
         Raises:
-            SceneError: no such file; a mesh without a hull; CoACD is not installed.
+            SceneError: no such file; a mesh without a hull, or not closed; CoACD is not installed.
+            InputError: `decompose` with `spacing`, or a spacing that is too large or takes too many samples.
         """
         check_body_name(name)
+        if spacing is not None:
+            return self._add_mesh_solid(
+                name, mesh_source(name, mesh, scale), spacing, mass, density, free, placement, color, decompose
+            )
         hulls, text = mesh_shapes(name, mesh_source(name, mesh, scale), decompose)
         inertia = solid_inertia(name, hulls, mass, density)
         return self._add_shape(name, hulls, inertia, free, placement, color, text)
@@ -315,6 +325,31 @@ class SceneShapes(ABC):
         off = deviation(solid, asked)
         note = f"{off.largest:.3g} m from the surface of the function at most, {off.mean:.3g} m in the mean"
         return self._add_solid(name, solid, inertia, inertia is not None, placement, color, note)
+
+    def _add_mesh_solid(
+        self,
+        name: str,
+        source: MeshSource,
+        spacing: float,
+        mass: float | None,
+        density: float | None,
+        free: bool,
+        placement: Any,
+        color: Any,
+        decompose: bool | float,
+    ) -> BodyHandle:
+        from contactvi.importing.mesh_solids import closed, mesh_solid
+
+        if decompose is not False:
+            raise InputError(
+                f"The mesh of {name!r} is decomposed and sampled", name="spacing", expected="decompose or spacing",
+                got="both", remedy="Leave one of them out",
+            )  # fmt: skip
+        vertices, faces = closed(name, *source.arrays(name))
+        solid, off = mesh_solid(name, vertices, faces, real("spacing", spacing, 0.0, open_low=True))
+        note = f"{off.largest:.3g} m from the mesh at most, {off.mean:.3g} m in the mean"
+        inertia = mesh_inertia(name, vertices, faces, mass, density)
+        return self._add_solid(name, solid, inertia, free, placement, color, note)
 
     def _add_solid(
         self,

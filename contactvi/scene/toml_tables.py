@@ -68,7 +68,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "capsule": ("radius", "length", *_BODY),
     "cylinder": ("radius", "length", *_BODY),
     "ellipsoid": ("radii", *_BODY),
-    "mesh": ("path", "density", "scale", "decompose", *_BODY),
+    "mesh": ("path", "density", "scale", "decompose", "spacing", *_BODY),
     "halfspace": ("normal", "offset", "name", "color"),
     "heightfield": ("name", "heights", "path", "size", "height", "smooth", "color", *_PLACE),
     "contact": (*CONTACT_SETTINGS, "disable", "enable", "body", "pair"),

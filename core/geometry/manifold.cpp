@@ -290,7 +290,10 @@ class Manifolds::Least final : public CandidateSink {
 };
 
 Manifolds::Manifolds(const Scene& scene, int max_points) : scene_(&scene), max_points_(std::max(1, max_points)) {
-  for (const Geometry& g : scene.geometries) is_capsule_.push_back(g.sharp->getNodeType() == coal::GEOM_CAPSULE);
+  for (const Geometry& g : scene.geometries) {
+    is_capsule_.push_back(g.sharp->getNodeType() == coal::GEOM_CAPSULE);
+    any_feet_ |= g.surface && g.surface->knows_all_feet();
+  }
 }
 
 const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
@@ -388,7 +391,7 @@ int Manifolds::number_of_foot(const FunctionSurface& surface, int pair, int vert
 }
 
 bool Manifolds::has_feet(int pair) const {
-  const Geometry* g = surface_of(pair);
+  const Geometry* g = any_feet_ ? surface_of(pair) : nullptr;
   if (g == nullptr || !g->surface->knows_all_feet()) return false;
   const Pair& p = scene_->pairs[pair];
   return features(pair, g == &scene_->geometries[p.a] ? p.b : p.a).radius > 0.0;

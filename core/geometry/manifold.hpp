@@ -186,6 +186,7 @@ class Manifolds {
 
   const Scene* scene_;
   int max_points_;
+  bool any_feet_ = false;         // whether a surface of the scene may touch a ball in several feet
   std::vector<bool> is_capsule_;  // per geometry
   // Workspace, which grows to the largest manifold found.
   std::vector<Candidate> found_;

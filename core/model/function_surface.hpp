@@ -41,7 +41,8 @@ class FunctionSurface {
 
   // Whether all feet of a ball are known: it may then touch in several of them, each of which moves on its own.
   virtual bool knows_all_feet() const { return false; }
-  // Of such a surface: the nearest foot of a point, and those that are nearer than `reach` [m].
+  // Of such a surface: the nearest foot of a point, and of one outside those on its side that are nearer than `reach`
+  // [m].
   virtual void all_feet(const Vec3& point, double reach, std::vector<SurfaceFoot>& feet) const;
   // Of such a surface: the foot to which the distance falls from a place near the surface.
   virtual SurfaceFoot foot_near(const Vec3& point, const Vec3& place) const;

@@ -246,7 +246,8 @@ void HeightField::all_feet(const Vec3& point, double reach, std::vector<SurfaceF
   std::sort(found.begin(), found.end(), [](const Search& a, const Search& b) { return a.square() < b.square(); });
   feet.clear();
   for (const Search& s : found)
-    if (feet.empty() || s.square() < reach * reach) feet.push_back(s.foot());
+    if (feet.empty() || (s.square() < reach * reach && feet[0].distance > 0.0 && s.foot().distance > 0.0))
+      feet.push_back(s.foot());
   if (feet.empty()) feet.push_back({kNaN, Vec3::UnitZ()});
   if (!(feet[0].distance < 0.0)) return;
   const SurfaceFoot side = nearest_side(point);
