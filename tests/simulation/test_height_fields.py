@@ -223,6 +223,24 @@ def test_a_ball_rolls_down_a_groove() -> None:
     np.testing.assert_allclose(run.q[:, 0], 0.0, atol=1e-9)
 
 
+def test_a_saved_state_goes_on_with_both_feet() -> None:
+    """Between two walls: what goes on from a saved state is the same to the last bit."""
+    heights, size, (_, _, high) = groove()
+    scene = cvi.Scene(GRAVITY * np.array([0.0, np.sin(0.1), -np.cos(0.1)]))
+    scene.add_heightfield("ground", heights, size)
+    scene.add_sphere("ball", RADIUS)
+    scene.set_contact(restitution=0.0, friction=0.5)
+    run = cvi.Simulator(scene, dt=0.005)
+    run.reset(at([0.01, -2.0, high + 0.05]))
+    run.run(120)
+    saved = run.save()
+    run.run(100)
+    q = run.q.copy()
+    run.load(saved)
+    run.run(100)
+    np.testing.assert_array_equal(run.q, q)
+
+
 def test_a_ball_drops_from_a_wide_valley_into_narrow_ones() -> None:
     """A rough field of hollows narrower than the ball: it rolls through them, and no gap is below -1e-9 m at a node."""
     heights = hills(41, 41, 0.02, 5)
