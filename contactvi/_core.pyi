@@ -399,6 +399,27 @@ class Scene:
         Makes a halfspace a surface given by a function (address of a C function of one point, or function of arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; lost: called with a point (3,) of which no nearest point is known, raises.
         """
 
+    def set_height_field(self, geometry: int, coefficients: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], corner: Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')], spacing: Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')], reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
+        """
+        Makes a halfspace a block under a bicubic spline, given by its B-spline coefficients (nx + 2, ny + 2) over nx * ny places from corner on.
+        """
+
+    def set_torus(self, geometry: int, ring: float, tube: float, cells: tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(3), order='C')]], reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
+        """Makes a halfspace a torus about z."""
+
+    def set_superellipsoid(self, geometry: int, radii: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], exponent: float, cells: tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(3), order='C')]], reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
+        """Makes a halfspace a superellipsoid."""
+
+    def set_spline_solid(self, geometry: int, coefficients: Sequence[float], cells: tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(3), order='C')]], reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
+        """
+        Makes a halfspace the solid in which a tricubic spline is negative, given by its B-spline coefficients, three more along each axis than cells, the last axis fastest.
+        """
+
+    def feet(self, geometry: int, point: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], reach: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
+        """
+        Rows (n, 4) of distance [m] and outward normal: the nearest foot of a point (3,) on a surface, and those nearer than reach, in the frame of the surface.
+        """
+
     def set_surface_motion(self, geometry: int, linear: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], angular: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], profile: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:
         """
         Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by the time (table, address of a C function, function) or None.
@@ -541,6 +562,11 @@ class RecordedRun:
 def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
     """
     Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.
+    """
+
+def mesh_distances(vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    """
+    Signed distances (k,) of points (k, 3) from a closed mesh of outward triangles, negative inside.
     """
 
 def hull_of_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]]:

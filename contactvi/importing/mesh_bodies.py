@@ -94,12 +94,15 @@ def mesh_shapes(name: str, source: MeshSource, decompose: Any) -> tuple[list[coa
 
 def solid_inertia(name: str, hulls: Sequence[coal.Convex], mass: Any, density: Any) -> pin.Inertia:
     """Return the inertia of solid hulls of one density; mass [kg] of all, or density [kg/m^3], or neither: 1 kg."""
+    return _of_solids(name, [_solid(np.array(hull.points()), faces_of(hull)) for hull in hulls], mass, density)
+
+
+def _of_solids(name: str, solids: Sequence[pin.Inertia], mass: Any, density: Any) -> pin.Inertia:
     if mass is not None and density is not None:
         raise InputError(
             f"{name!r} has a mass and a density", name="density", expected="one of them", got="both",
             remedy="Leave mass or density out",
         )  # fmt: skip
-    solids = [_solid(np.array(hull.points()), faces_of(hull)) for hull in hulls]
     volume = sum(solid.mass for solid in solids)
     if density is not None:
         factor = real(f"density of {name!r}", density, 0.0, open_low=True)
@@ -109,6 +112,11 @@ def solid_inertia(name: str, hulls: Sequence[coal.Convex], mass: Any, density: A
     for solid in solids:
         total += pin.Inertia(factor * solid.mass, solid.lever, factor * solid.inertia)
     return total
+
+
+def mesh_inertia(name: str, vertices: Array, faces: NDArray[np.int64], mass: Any, density: Any) -> pin.Inertia:
+    """Return the inertia of a closed mesh with outward triangles; mass and density as in `solid_inertia`."""
+    return _of_solids(name, [_solid(vertices, faces)], mass, density)
 
 
 def _solid(vertices: Array, faces: NDArray[np.int64]) -> pin.Inertia:

@@ -24,6 +24,7 @@ from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.meshes import collision_geometry, pictures_of_urdf, without_shapes
 from contactvi.importing.mjcf.compiler import open_source
 from contactvi.importing.mjcf.model import ALLOWED, SOLREF, Choices, MjcfFile, part_of
+from contactvi.importing.mjcf.shapes import HFIELDS
 from contactvi.importing.part import Part
 from contactvi.importing.paths import mesh_error, reason_of, resolve_path
 from contactvi.importing.pictures import Picture, pictures_of
@@ -31,7 +32,7 @@ from contactvi.importing.prepare import finish, neutral, reported
 from contactvi.importing.report import PartReport
 from contactvi.importing.srdf import Srdf, add_group_states, read_srdf
 from contactvi.importing.urdf import read_urdf
-from contactvi.inputs import flag, listed, real, short, words
+from contactvi.inputs import check_choice, flag, listed, real, short, words
 
 ROOT_JOINT = "root_joint"  # Pinocchio's name for the free-flyer of a free base
 
@@ -148,6 +149,7 @@ def import_mjcf(
     restitution: Any = 0.0,
     allow: Any = (),
     turning_friction: Any = False,
+    hfield: Any = "prisms",
 ) -> Part:
     """Return the part of an MJCF; arguments as in Scene.add_mjcf, gravity [m/s^2] is the scene's.
 
@@ -156,6 +158,7 @@ def import_mjcf(
     if not (restitution is None or restitution == SOLREF):
         restitution = real("restitution", restitution, 0.0, 1.0)
     prefix, kinds = words("prefix", prefix), _allowed(allow)
+    check_choice("hfield", hfield, HFIELDS, "way to take height fields")
     report, hulls = opened.source.report, MeshHulls()
     with reported(report, opened.path):
         part = part_of(
@@ -169,6 +172,7 @@ def import_mjcf(
                 restitution,
                 kinds,
                 flag("turning_friction", turning_friction),
+                hfield,
             ),  # fmt: skip
             hulls,
         )

@@ -13,6 +13,7 @@ import pinocchio as pin
 from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.element import Element
 from contactvi.errors import SceneError
+from contactvi.importing.given_surfaces import GivenSurface
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
 from contactvi.scene.compliance import compliance_rows
@@ -27,7 +28,7 @@ from contactvi.scene.pairs import NeutralOverlaps, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
 from contactvi.scene.surface_motion import SurfaceMotion
-from contactvi.scene.surfaces import FunctionSurface, refuse_untouchable
+from contactvi.scene.surfaces import refuse_untouchable
 from contactvi.states import States
 
 
@@ -85,7 +86,7 @@ class Built:
     surface_motions: dict[str, SurfaceMotion]
     elements: Resolved
     names: Names
-    surfaces: dict[str, FunctionSurface]
+    surfaces: dict[str, GivenSurface]
 
     @cached_property
     def engine(self) -> EngineScene:

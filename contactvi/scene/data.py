@@ -8,7 +8,8 @@ joints      [{name, parent (index, 0 = world), type, axis, pitch, placement, mas
             is {xyz, rotation (3x3)} in the parent joint's frame; lower and upper have nq numbers, the others nv
 bodies      [{name, joint, placement}]
 geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}
-            of a surface that a function gives: {type, kind, extent, vertices, faces}, the grid that is drawn]; the
+            of a surface that a function gives: {type, kind, extent, vertices, faces}, the grid that is drawn; of a
+            height field {type, heights, size}]; the
             pictures of a trajectory are stored beside the scene (visuals.py)
 pairs, pair_restitution, pair_friction, restitution, friction (defaults)
 compliances [{pair, stiffness, exponent, damping, friction, slip_speed}]: the compliant pairs, which are not among
@@ -38,6 +39,7 @@ import pinocchio as pin
 from contactvi.elements.signals import Signal
 from contactvi.elements.stored import element_from_data
 from contactvi.errors import SceneError
+from contactvi.importing.given_surfaces import SURFACES, GivenSurface, with_surface
 from contactvi.importing.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
 from contactvi.importing.joint_kinds import MANY_DOFS, ONE_DOF, joint_kind, joint_model, motion_axis
 from contactvi.importing.part import Part
@@ -54,7 +56,7 @@ from contactvi.scene.joints import JointSettings, JointTable, Servo
 from contactvi.scene.pair_rules import Rule
 from contactvi.scene.selection import PartHandle
 from contactvi.scene.surface_motion import motions_from_data, motions_to_data
-from contactvi.scene.surfaces import FunctionSurface, missing_name, surface_from_dict, surface_to_dict, with_surface
+from contactvi.scene.surfaces import missing_name, surface_from_dict
 
 FORMAT = "contactvi-scene"
 VERSION = 1
@@ -114,7 +116,7 @@ def scene_to_dict(
             *(name for name in elements.missing if name not in map(missing_name, built.surfaces)),
             *(element.name for element in elements.elements if not element.storable),
             *(f"the law of contact of {built.pairs[places[0]]}" for law, places in built.laws if not law.storable),
-            *(missing_name(name) for name in built.surfaces),
+            *(missing_name(name) for name, surface in built.surfaces.items() if not surface.storable),
             *(
                 f"the surface velocity of {name}"
                 for name, motion in built.surface_motions.items()
@@ -177,7 +179,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         neutral_overlaps={(index[a], index[b]): row for (a, b), row in overlaps.items()},
     )
     for item in data["geometries"]:
-        if item["shape"]["type"] == "surface":
+        if item["shape"]["type"] in SURFACES:
             part = with_surface(part, str(item["name"]), surface_from_dict(item["shape"]))
     handles = {
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
@@ -331,12 +333,12 @@ def _model(data: Mapping[str, Any]) -> pin.Model:
 
 
 def _geometry_to_dict(
-    model: pin.Model, geometry: pin.GeometryObject, surfaces: Mapping[str, FunctionSurface]
+    model: pin.Model, geometry: pin.GeometryObject, surfaces: Mapping[str, GivenSurface]
 ) -> dict[str, Any]:
     shape = geometry.geometry
     plain: dict[str, Any]
     if geometry.name in surfaces:
-        plain = surface_to_dict(geometry.name, surfaces[geometry.name])
+        plain = surfaces[geometry.name].to_data(geometry.name)
     elif isinstance(shape, coal.Halfspace):
         plain = {"type": "halfspace", "normal": shape.n.tolist(), "offset": float(shape.d)}
     elif isinstance(shape, coal.Convex):
@@ -354,7 +356,7 @@ def _geometry_to_dict(
 
 def _shape(data: Mapping[str, Any]) -> coal.CollisionGeometry:
     kind = data["type"]
-    if kind == "surface":
+    if kind in SURFACES:
         return coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
     if kind == "halfspace":
         return coal.Halfspace(np.array(data["normal"], dtype=float), float(data["offset"]))

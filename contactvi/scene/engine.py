@@ -6,7 +6,6 @@ Models cross to C++ as numbers, shapes by the addresses of coal's objects, of wh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -15,12 +14,12 @@ import pinocchio as pin
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import SceneError
 from contactvi.importing.engine_model import engine_model
+from contactvi.importing.given_surfaces import GivenSurface
 from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
 from contactvi.scene.surface_motion import SurfaceMotion
-from contactvi.scene.surfaces import FunctionSurface
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -41,7 +40,7 @@ def make_engine_scene(
     motions: Mapping[str, SurfaceMotion],
     arrays: JointArrays,
     elements: Resolved,
-    surfaces: Mapping[str, FunctionSurface],
+    surfaces: Mapping[str, GivenSurface],
 ) -> EngineScene:
     """Return the engine's scene.
 
@@ -80,9 +79,7 @@ def make_engine_scene(
                 scene.set_contact_law(group, **law.engine((a, b)))
         for name, surface in surfaces.items():
             number = collision.getGeometryId(name)
-            scene.set_surface(
-                number, surface.engine(name), surface.kind == "height", surface.reach, partial(surface.lost, name)
-            )
+            surface.put(scene, number, name)
         for name, motion in motions.items():
             scene.set_surface_motion(int(collision.getGeometryId(name)), *motion.engine(name))
         _set_joints(scene, arrays)

@@ -28,7 +28,7 @@ _SECTIONS = {  # method -> section
 }
 _OTHERS = (  # methods that are noted, too
     "set_contact", "disable_pair", "enable_pair", "disable_overlapping", "remove", "add_surface", "add_potential",
-    "add_force", "set_surface", "add_model",
+    "add_force", "set_surface", "add_model", "add_torus", "add_superellipsoid", "add_solid",
 )  # fmt: skip
 
 
@@ -79,7 +79,7 @@ class Notes:
             self.entries.append(_entry(method, section, given, result))
         else:
             keys = {"name": result} if isinstance(result, str) else {}
-            self.entries.append(Entry(method, keys, f"{method}({_first(given)}), which takes functions or a model"))
+            self.entries.append(Entry(method, keys, f"{method}({_first(given)}), which no scene file has"))
 
 
 def _is_element(entry: Entry, name: str) -> bool:
@@ -119,6 +119,10 @@ def _entry(method: str, section: str, given: dict[str, Any], result: Any) -> Ent
             if name == "placement":
                 keys |= _place(value)
             elif name == "mesh":
+                keys["path"] = _path(value)
+            elif name == "heights" and not isinstance(value, (str, os.PathLike)):
+                keys["heights"] = plain(np.asarray(value))
+            elif name == "heights":
                 keys["path"] = _path(value)
             elif name in ("path", "srdf"):
                 keys[name] = _path(getattr(value, "path", value))

@@ -7,11 +7,11 @@ from typing import TypeVar
 import numpy as np
 import pinocchio as pin
 
+from contactvi.importing.given_surfaces import GivenSurface, with_surface
 from contactvi.importing.part import Part, take_names, with_inertia
 from contactvi.importing.pictures import Picture, with_meshes
 from contactvi.scene.assembly import Assembly, assemble, assemble_pictures
 from contactvi.scene.selection import Names, PartHandle
-from contactvi.scene.surfaces import FunctionSurface, with_surface
 
 Handle = TypeVar("Handle", bound=PartHandle)
 
@@ -86,11 +86,11 @@ class PartList:
         return self._visual
 
     @property
-    def surfaces(self) -> dict[str, FunctionSurface]:
+    def surfaces(self) -> dict[str, GivenSurface]:
         """The surfaces given by functions, by the names of their geometries."""
         return {name: surface for part in self.parts for name, surface in part.surfaces.items()}
 
-    def set_surface(self, name: str, surface: FunctionSurface) -> None:
+    def set_surface(self, name: str, surface: GivenSurface) -> None:
         """Set the function of a surface, in a new part that stands in the place of the old one."""
         at = next(k for k, part in enumerate(self.parts) if name in part.surfaces)
         self.parts[at] = with_surface(self.parts[at], name, surface)

@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.importing.given_surfaces import GivenSurface
 from contactvi.importing.mjcf.model import MjcfFile
 from contactvi.importing.part import Part
 from contactvi.importing.pictures import Picture
@@ -222,6 +223,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         self_collision: bool = True,
         allow: Sequence[str] = (),
         turning_friction: bool = False,
+        hfield: str = "prisms",
     ) -> PartHandle:
         """Add an MJCF, compiled by MuJoCo (needs `pip install "contactvi[mjcf]"`). The rest as in add_urdf.
 
@@ -240,12 +242,15 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
                 <flexcomp> as loose bodies, without elasticity and contact surface.
             turning_friction: whether contacts of condim 4 and 6 have the file's torsional and rolling friction
                 (`set_contact`: spinning_radius = torsional / sliding, rolling_radius = rolling).
+            hfield: of height fields "prisms": the triangles of the file, two convex prisms to a cell, with seams;
+                "smooth": one bicubic surface through the samples, as `add_heightfield`. The report says how far it is
+                from the triangles.
         """
         where = pose("placement", placement)
         opened = path if isinstance(path, MjcfFile) else open_mjcf(path)
         part = import_mjcf(
             opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
-            restitution=restitution, allow=allow, turning_friction=turning_friction,
+            restitution=restitution, allow=allow, turning_friction=turning_friction, hfield=hfield,
         )  # fmt: skip
         return self.add_model(part, limits, friction, self_collision)
 
@@ -426,7 +431,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
             InputError, UserFunctionError: as `add_surface`; there is no such surface, or one of the other kind.
         """
         known = self.surfaces.get(name)
-        box = known.extent if extent is None and known is not None else extent
+        box = known.extent if extent is None and isinstance(known, FunctionSurface) else extent
         surface = function_surface(height, distance, gradient, hessian, box)
         if known is None or known.kind != surface.kind:
             raise InputError(
@@ -482,7 +487,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         return self._parts.visual
 
     @property
-    def surfaces(self) -> dict[str, FunctionSurface]:
+    def surfaces(self) -> dict[str, GivenSurface]:
         """The surfaces given by functions, by the names of their geometries."""
         return self._parts.surfaces
 
@@ -733,7 +738,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         """Take the notes of a file from which the scene was read (for scene files)."""
         self._notes = notes
 
-    def restore(self, elements: ElementList, goals: Mapping[str, Any], surfaces: Mapping[str, FunctionSurface]) -> None:
+    def restore(self, elements: ElementList, goals: Mapping[str, Any], surfaces: Mapping[str, GivenSurface]) -> None:
         """Give a scene from data the elements, motions of servos and surfaces that data do not hold (for pickle)."""
         self._elements = elements
         for name, surface in surfaces.items():
@@ -781,7 +786,7 @@ def _restored(
     data: Mapping[str, Any],
     elements: ElementList,
     goals: Mapping[str, Any],
-    surfaces: Mapping[str, FunctionSurface],
+    surfaces: Mapping[str, GivenSurface],
 ) -> Scene:
     """Return a scene from what pickle kept; goals: motions of servos by joint name."""
     scene = kind.from_dict(data)

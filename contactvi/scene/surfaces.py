@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import coal
@@ -20,8 +21,11 @@ from numpy.typing import NDArray
 
 from contactvi.elements.user_functions import called, checked
 from contactvi.errors import InputError, SceneError, UserFunctionError
-from contactvi.importing.part import Part
-from contactvi.importing.pictures import Picture, Surface
+from contactvi.importing.given_surfaces import GivenSurface
+from contactvi.importing.height_fields import HeightField
+from contactvi.importing.pictures import Surface
+from contactvi.importing.solids import solid_from_data
+from contactvi.importing.surface_nets import surface_net
 from contactvi.inputs import array, short
 
 Array = NDArray[np.float64]
@@ -38,7 +42,7 @@ _TWO = (np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([[1.0, 1.0], [1.0, -1.0], [
 
 
 @dataclass(frozen=True, eq=False)
-class FunctionSurface:
+class FunctionSurface(GivenSurface):
     """A surface in the frame of its geometry.
 
     Attributes:
@@ -68,15 +72,16 @@ class FunctionSurface:
         """Largest distance of a point of the drawn part from the origin [m]."""
         return float(np.linalg.norm(np.abs(self.extent).max(axis=1)))
 
-    def engine(self, name: str) -> Any:
-        """Return it as the engine takes it; `name` of the surface is for the messages of what goes wrong in it."""
+    def put(self, scene: Any, number: int, name: str) -> None:
+        """See GivenSurface; `name` is for messages of what goes wrong in it. Raises SceneError without a function."""
         if self.function is None:
             raise SceneError(
                 f"The surface {name!r} has no function", body=name, expected="the function that gave it",
                 got="a stored scene, which cannot hold functions",
                 remedy=f"Give it again: scene.set_surface({name!r}, {self.kind}=...)",
             )  # fmt: skip
-        return self.address if self.address is not None else lambda points: self.values(name, points)
+        given = self.address if self.address is not None else lambda points: self.values(name, points)
+        scene.set_surface(number, given, self.kind == "height", self.reach, partial(self.lost, name))
 
     def values(self, name: str, points: Array) -> Array:
         """Return rows f, f_x, f_y, f_xx, f_xy, f_yy (n, 6) of a height, d, d_x, d_y, d_z (n, 4) of a distance.
@@ -165,7 +170,15 @@ class FunctionSurface:
             return self.drawn
         if self.kind == "height":
             return _sheet(self.extent, lambda points: self.values(name, points)[:, 0])
-        return surface_net(self.extent, CELLS_OF_SOLID, lambda points: self.values(name, points)[:, 0])
+        axes = [np.linspace(low, high, CELLS_OF_SOLID + 1) for low, high in self.extent]
+        corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        return surface_net(axes, self.values(name, corners.reshape(-1, 3))[:, 0].reshape(corners.shape[:3]))
+
+    def to_data(self, name: str) -> dict[str, Any]:
+        """Return what is stored of it: what it was, and the grid that is drawn."""
+        vertices, faces = self.grid(name)
+        kind = {"type": "surface", "kind": self.kind, "extent": self.extent.tolist()}
+        return kind | {"vertices": np.asarray(vertices), "faces": np.asarray(faces)}
 
     def check(self, name: str) -> None:
         """Try the functions within the extent.
@@ -284,28 +297,12 @@ def refuse_untouchable(
             )  # fmt: skip
 
 
-def with_surface(part: Part, name: str, surface: FunctionSurface) -> Part:
-    """Return the part with a surface in the place of the halfspace `name`; the given one stays as it is."""
-    before = part.load_pictures
-
-    def load() -> list[Picture]:
-        return [
-            Picture(picture.geometry, surface.grid(name)) if picture.geometry.name == name else picture
-            for picture in before()
-        ]
-
-    return replace(part, surfaces={**part.surfaces, name: surface}, load_pictures=load)
-
-
-def surface_to_dict(name: str, surface: FunctionSurface) -> dict[str, Any]:
-    """Return what is stored of a surface: what it was, and the grid that is drawn."""
-    vertices, faces = surface.grid(name)
-    kind = {"type": "surface", "kind": surface.kind, "extent": surface.extent.tolist()}
-    return kind | {"vertices": np.asarray(vertices), "faces": np.asarray(faces)}
-
-
-def surface_from_dict(data: Mapping[str, Any]) -> FunctionSurface:
-    """Return the surface that `surface_to_dict` described, without its function."""
+def surface_from_dict(data: Mapping[str, Any]) -> GivenSurface:
+    """Return the surface that `to_data` described, one of a function without it."""
+    if data["type"] == "heightfield":
+        return HeightField.from_data(data)
+    if data["type"] != "surface":
+        return solid_from_data(data)
     drawn = Surface(np.asarray(data["vertices"], dtype=np.float32), np.asarray(data["faces"], dtype=np.uint32))
     extent = np.array(data["extent"], dtype=float)
     return FunctionSurface(str(data["kind"]), None, None, None, extent, drawn)
@@ -333,49 +330,4 @@ def _sheet(extent: Array, height: Callable[[Array], Array]) -> Surface:
     a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     vertices = np.column_stack([points, height(points)])
-    return Surface(vertices.astype(np.float32), faces.astype(np.uint32))
-
-
-def surface_net(extent: Array, cells: int, distance: Callable[[Array], Array]) -> Surface:
-    """Return the surface distance = 0 within the extent (3, 2): a vertex in each cell that it crosses.
-
-    The vertex is the mean of the crossings of the cell's edges; the four cells around an edge that is crossed have a
-    quadrilateral, seen anticlockwise from outside. Surface nets (Gibson, 1998).
-    """
-    axes = [np.linspace(low, high, cells + 1) for low, high in extent]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    d = distance(np.ascontiguousarray(grid.reshape(-1, 3))).reshape(grid.shape[:3])
-    inside = d < 0.0
-    shape = (cells,) * 3
-    total, count = np.zeros((*shape, 3)), np.zeros(shape)
-    quads = []
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-        low, high = (
-            tuple(part if k == axis else slice(None) for k in range(3)) for part in (slice(-1), slice(1, None))
-        )
-        crossed = np.argwhere(inside[low] != inside[high])
-        start = tuple(crossed.T)
-        weight = d[low][start] / (d[low][start] - d[high][start])
-        at = grid[low][start] + weight[:, None] * (grid[high][start] - grid[low][start])
-        around = []
-        for du, dv in ((0, 0), (-1, 0), (-1, -1), (0, -1)):
-            cell = crossed.copy()
-            cell[:, u] += du
-            cell[:, v] += dv
-            around.append(cell)
-            some = ((cell >= 0) & (cell < cells)).all(axis=1)
-            np.add.at(total, tuple(cell[some].T), at[some])
-            np.add.at(count, tuple(cell[some].T), 1.0)
-        whole = np.all([((cell >= 0) & (cell < cells)).all(axis=1) for cell in around], axis=0)
-        numbers = np.stack([np.ravel_multi_index(tuple(cell[whole].T), shape) for cell in around], axis=1)
-        leaves = inside[low][start][whole]  # the edge leads out of the solid
-        quads.append(np.where(leaves[:, None], numbers, numbers[:, ::-1]))
-    quad = np.concatenate(quads)
-    used = np.flatnonzero(count.ravel())
-    number = np.zeros(cells**3, dtype=np.int64)
-    number[used] = np.arange(len(used))
-    corners = number[quad]
-    vertices = total.reshape(-1, 3)[used] / count.ravel()[used][:, None]
-    faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
     return Surface(vertices.astype(np.float32), faces.astype(np.uint32))

@@ -9,12 +9,14 @@
                             self_collision = true, contact_friction = false
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
                             restitution = 0 | number | "solref", self_collision = true, allow = [] | ["flex"],
-                            turning_friction = false
+                            turning_friction = false, hfield = "prisms" | "smooth"
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[ellipsoid]]           name, radii, ...
-    [[mesh]]                name, path, mass | density, scale, decompose = false | true | number, ...
+    [[mesh]]                name, path, mass | density, scale, decompose = false | true | number,
+                            spacing, ...
     [[halfspace]]           normal, offset, name, color
+    [[heightfield]]         name, heights = [[...], ...] | path, size = [x, y], height, smooth = true, xyz, rpy, color
     [contact]               restitution, friction (defaults), disable = [["a", "b"]], enable = [["a", "b"]]
     [[contact.body]]        name, restitution, friction             of one body, part or geometry
     [[contact.pair]]        a, b, restitution, friction

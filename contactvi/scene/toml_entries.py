@@ -85,7 +85,7 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
     elif section == "mjcf":
         options = {
             key: entry[key]
-            for key in ("prefix", "equality", "actuators", "restitution", "allow", "turning_friction")
+            for key in ("prefix", "equality", "actuators", "restitution", "allow", "turning_friction", "hfield")
             if key in entry
         }
         opened = open_mjcf(entry["path"], folder)
@@ -95,9 +95,22 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         scene.add_halfspace(**entry)
     else:
         entry.pop("xyz", None), entry.pop("rpy", None)
+        if section == "heightfield":
+            _take_heights(entry, folder)
         if section == "mesh":
             entry["mesh"] = resolve_path(entry.pop("path"), folder)
         getattr(scene, f"add_{section}")(**entry, placement=placement)
+
+
+def _take_heights(entry: dict[str, Any], folder: Path) -> None:
+    """Put the heights of a field, or the path of their file, in their place. Raises InputError for both or none."""
+    if ("heights" in entry) == ("path" in entry):
+        raise InputError(
+            "The heights of a field", name="heights", expected="heights or path",
+            got="both" if "path" in entry else "none", remedy='Write path = "hills.npy"',
+        )  # fmt: skip
+    if "path" in entry:
+        entry["heights"] = resolve_path(entry.pop("path"), folder)
 
 
 def _add_model(scene: Scene, part: Part, entry: Mapping[str, Any]) -> None:

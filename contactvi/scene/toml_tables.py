@@ -62,6 +62,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         "self_collision",
         "allow",
         "turning_friction",
+        "hfield",
         *_PLACE,
     ),
     "sphere": ("radius", *_BODY),
@@ -69,8 +70,9 @@ KEYS: dict[str, tuple[str, ...]] = {
     "capsule": ("radius", "length", *_BODY),
     "cylinder": ("radius", "length", *_BODY),
     "ellipsoid": ("radii", *_BODY),
-    "mesh": ("path", "density", "scale", "decompose", *_BODY),
+    "mesh": ("path", "density", "scale", "decompose", "spacing", *_BODY),
     "halfspace": ("normal", "offset", "name", "color"),
+    "heightfield": ("name", "heights", "path", "size", "height", "smooth", "color", *_PLACE),
     "contact": (*CONTACT_SETTINGS, "disable", "enable", "body", "pair"),
     "contact.body": ("name", *CONTACT_SETTINGS),
     "contact.pair": ("a", "b", *CONTACT_SETTINGS),
@@ -83,7 +85,20 @@ KEYS: dict[str, tuple[str, ...]] = {
     "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
     "run": tuple(f.name for f in fields(Options)),
 }
-LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "ellipsoid", "mesh", "halfspace", "joint", *ELEMENTS)
+LISTS = (
+    "urdf",
+    "mjcf",
+    "sphere",
+    "box",
+    "capsule",
+    "cylinder",
+    "ellipsoid",
+    "mesh",
+    "halfspace",
+    "heightfield",
+    "joint",
+    *ELEMENTS,
+)
 NEEDED = {
     "urdf": ("path",),
     "mjcf": ("path",),
@@ -93,6 +108,7 @@ NEEDED = {
     "cylinder": ("name", "radius", "length"),
     "ellipsoid": ("name", "radii"),
     "mesh": ("name", "path"),
+    "heightfield": ("name", "size"),
     "joint": ("name",),
     "contact.body": ("name",),
     "contact.pair": ("a", "b"),

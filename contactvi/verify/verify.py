@@ -13,6 +13,7 @@ from contactvi.reproduce.check import Check
 from contactvi.tables import name_table
 from contactvi.verify import (
     cases_contact,
+    cases_fields,
     cases_forced,
     cases_friction,
     cases_impact,
@@ -27,6 +28,7 @@ CASES: tuple[Case, ...] = (
     *cases_impact.CASES,
     *cases_several.CASES,
     *cases_laws.CASES,
+    *cases_fields.CASES,
     *cases_friction.CASES,
     *cases_contact.CASES,
     *cases_forced.CASES,

@@ -5,13 +5,17 @@
 #include <coal/shape/convex.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <limits>
 
+#include "base/parallel.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
 #include "model/convex_hull.hpp"
 #include "model/crowded_vertex.hpp"
 #include "model/hull_access.hpp"
+#include "model/mesh_distance.hpp"
 #include "model/polytope_shape.hpp"
 
 namespace nb = nanobind;
@@ -36,6 +40,31 @@ IntVec vertices_of(const Points& points) {
   return result;
 }
 
+using Triangles = nb::ndarray<const int, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+
+// Of many points, those of a row of a grid one after the other: the distance of the last one bounds that of the next.
+VecX mesh_distances(const Points& vertices, const Triangles& faces, const Points& points) {
+  using Rows = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>>;
+  using Indices = Eigen::Map<const Eigen::Matrix<int, Eigen::Dynamic, 3, Eigen::RowMajor>>;
+  const Rows corners(vertices.data(), static_cast<Eigen::Index>(vertices.shape(0)), 3),
+      places(points.data(), static_cast<Eigen::Index>(points.shape(0)), 3);
+  const Indices triangles(faces.data(), static_cast<Eigen::Index>(faces.shape(0)), 3);
+  VecX distances(places.rows());
+  const nb::gil_scoped_release release;
+  const MeshDistance mesh(corners, triangles);
+  constexpr Eigen::Index kPart = 4096;
+  in_parallel(static_cast<int>((places.rows() + kPart - 1) / kPart), [&](int part) {
+    double last = std::numeric_limits<double>::infinity();
+    for (Eigen::Index i = part * kPart; i < std::min(places.rows(), (part + 1) * kPart); ++i) {
+      const Vec3 x = places.row(i).transpose();
+      // With some room for rounding.
+      const double step = i > part * kPart ? (x.transpose() - places.row(i - 1)).norm() : last;
+      last = distances[i] = mesh.of(x, (std::abs(last) + step) * (1.0 + 1e-9));
+    }
+  });
+  return distances;
+}
+
 nb::typed<nb::tuple, decltype(Polytope::vertices), decltype(Polytope::faces)> hull_of_points(const Points& points) {
   const std::size_t count = points.shape(0);
   const Polytope hull = [&] {
@@ -55,6 +84,8 @@ coal::Convex<coal::Triangle>& hull_at(std::uintptr_t address) {
 void expose_hull(nb::module_& m) {
   m.def("hull_vertices", &vertices_of, "points"_a,
         "Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.");
+  m.def("mesh_distances", &mesh_distances, "vertices"_a, "faces"_a, "points"_a,
+        "Signed distances (k,) of points (k, 3) from a closed mesh of outward triangles, negative inside.");
   m.def("hull_of_points", &hull_of_points, "points"_a,
         "Vertices (n, 3) and triangles (m, 3) of the hull of points, finite, in coal's order; none where there is no "
         "hull.");

@@ -24,6 +24,8 @@
 #include "bindings/user_functions.hpp"
 #include "impact/incremental_impact.hpp"
 #include "model/function_surface.hpp"
+#include "model/height_field.hpp"
+#include "model/implicit_surface.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -106,15 +108,19 @@ std::function<void(const double*, int, double*)> rows_by(Scene& s, const OfPoint
   };
 }
 
-std::shared_ptr<const FunctionSurface> surface_of(Scene& s, const GivenSurface& given, bool is_height,
-                                                  const OfPoint& tell) {
-  const FunctionSurface::Lost lost = [call = keep(s, tell)](const Vec3& point) {
+FunctionSurface::Lost lost_of(Scene& s, const OfPoint& tell) {
+  return [call = keep(s, tell)](const Vec3& point) {
     guarded(call, false, [&] {
       call(point);
       throw Error("nothing was raised");
       return true;
     });
   };
+}
+
+std::shared_ptr<const FunctionSurface> surface_of(Scene& s, const GivenSurface& given, bool is_height,
+                                                  const OfPoint& tell) {
+  const FunctionSurface::Lost lost = lost_of(s, tell);
   if (const OfPoints* function = std::get_if<OfPoints>(&given)) {
     if (is_height) return std::make_shared<HeightSurface>(rows_by<2, HeightSurface::kValues>(s, *function), lost);
     return std::make_shared<DistanceSurface>(rows_by<3, DistanceSurface::kValues>(s, *function), lost);
@@ -137,14 +143,62 @@ std::shared_ptr<const FunctionSurface> surface_of(Scene& s, const GivenSurface& 
       lost);
 }
 
-void set_surface(Scene& s, int geometry, const GivenSurface& given, bool is_height, double reach, const OfPoint& tell) {
+// Puts a surface in the place of a halfspace.
+void put_surface(Scene& s, int geometry, double reach, std::shared_ptr<const FunctionSurface> surface) {
   if (geometry < 0 || geometry >= static_cast<int>(s.geometries.size())) throw Error("there is no such geometry");
   Geometry& g = s.geometries[static_cast<std::size_t>(geometry)];
   if (!g.unbounded) throw Error("a surface stands in the place of a halfspace");
-  g.surface = surface_of(s, given, is_height, tell);
+  g.surface = std::move(surface);
   // No plane bounds it.
   g.halfspace_offset = std::numeric_limits<double>::infinity();
   g.reach = reach;
+}
+
+void set_surface(Scene& s, int geometry, const GivenSurface& given, bool is_height, double reach, const OfPoint& tell) {
+  put_surface(s, geometry, reach, surface_of(s, given, is_height, tell));
+}
+
+void set_height_field(Scene& s, int geometry, const MatX& coefficients, const Eigen::Vector2d& corner,
+                      const Eigen::Vector2d& spacing, double reach, const OfPoint& tell) {
+  if (coefficients.rows() < 4 || coefficients.cols() < 4) throw Error("a height field needs four coefficients");
+  put_surface(s, geometry, reach, std::make_shared<HeightField>(coefficients, corner, spacing, lost_of(s, tell)));
+}
+
+using Corner = Eigen::Vector3d;
+
+// Where a level set is the surface of a solid, or of all but that: whether it is hollow, the low and high corner of a
+// grid and its cells along each axis.
+using Cells = std::tuple<bool, Corner, Corner, Eigen::Vector3i>;
+
+void put_level_set(Scene& s, int geometry, std::unique_ptr<const LevelSet> level, const Cells& cells, double reach,
+                   const OfPoint& tell) {
+  const auto& [hollow, low, high, counts] = cells;
+  put_surface(
+      s, geometry, reach,
+      std::make_shared<ImplicitSurface>(std::move(level), hollow, BoxTree::Box(low, high), counts, lost_of(s, tell)));
+}
+
+void set_spline_solid(Scene& s, int geometry, std::vector<double> coefficients, const Cells& cells, double reach,
+                      const OfPoint& tell) {
+  const auto& [hollow, low, high, counts] = cells;
+  const Eigen::Vector3i splines = counts.array() + 3;
+  if (static_cast<Eigen::Index>(coefficients.size()) != splines.prod()) throw Error("coefficients for other cells");
+  const Corner spacing = (high - low).cwiseQuotient(counts.cast<double>());
+  put_level_set(s, geometry, spline_level_set(std::move(coefficients), splines, low, spacing), cells, reach, tell);
+}
+
+// Rows of distance, normal of the nearest foot of a point and of those nearer than reach, in the frame of the surface.
+MatX feet_of(const Scene& s, int geometry, const Corner& point, double reach) {
+  const FunctionSurface* surface = s.geometries.at(static_cast<std::size_t>(geometry)).surface.get();
+  if (surface == nullptr) throw Error("there is no such surface");
+  std::vector<SurfaceFoot> feet;
+  surface->all_feet(point, reach, feet);
+  MatX rows(static_cast<Eigen::Index>(feet.size()), 4);
+  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
+    const SurfaceFoot& foot = feet[static_cast<std::size_t>(k)];
+    rows.row(k) << foot.distance, foot.normal.transpose();
+  }
+  return rows;
 }
 
 void set_surface_motion(Scene& s, int geometry, const Vec3& linear, const Vec3& angular,
@@ -173,6 +227,28 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
             "d_x, d_y, d_z. reach: the largest distance [m] of one of its points from the origin of a moving body; "
             "lost: called with a point (3,) of which no nearest point "
             "is known, raises.");
+  scene.def(
+      "set_height_field", &set_height_field, "geometry"_a, "coefficients"_a, "corner"_a, "spacing"_a, "reach"_a,
+      "lost"_a,
+      "Makes a halfspace a block under a bicubic spline, given by its B-spline coefficients (nx + 2, ny + 2) over "
+      "nx * ny places from corner on.");
+  scene.def(
+      "set_torus",
+      [](Scene& s, int geometry, double ring, double tube, const Cells& cells, double reach, const OfPoint& tell) {
+        put_level_set(s, geometry, torus(ring, tube), cells, reach, tell);
+      },
+      "geometry"_a, "ring"_a, "tube"_a, "cells"_a, "reach"_a, "lost"_a, "Makes a halfspace a torus about z.");
+  scene.def(
+      "set_superellipsoid",
+      [](Scene& s, int geometry, const Corner& radii, double exponent, const Cells& cells, double reach,
+         const OfPoint& tell) { put_level_set(s, geometry, superellipsoid(radii, exponent), cells, reach, tell); },
+      "geometry"_a, "radii"_a, "exponent"_a, "cells"_a, "reach"_a, "lost"_a, "Makes a halfspace a superellipsoid.");
+  scene.def("set_spline_solid", &set_spline_solid, "geometry"_a, "coefficients"_a, "cells"_a, "reach"_a, "lost"_a,
+            "Makes a halfspace the solid in which a tricubic spline is negative, given by its B-spline coefficients, "
+            "three more along each axis than cells, the last axis fastest.");
+  scene.def("feet", &feet_of, "geometry"_a, "point"_a, "reach"_a,
+            "Rows (n, 4) of distance [m] and outward normal: the nearest foot of a point (3,) on a surface, and those "
+            "nearer than reach, in the frame of the surface.");
   scene.def(
       "set_surface_motion", &set_surface_motion, "geometry"_a, "linear"_a, "angular"_a, "profile"_a.none(),
       "Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by "

@@ -269,7 +269,8 @@ bool EventFinder::collect(int g) {
     fail(Search::kUnresolved, g, gap);
     return false;
   }
-  if (!memory_.touching[g] && (scene_->is_pair(g) ? guards_->reliable(g, gap) : gap) > guards_->motion(g)) {
+  if (!memory_.touching[g] && (scene_->is_pair(g) ? guards_->reliable(g, gap) : gap) > guards_->motion(g) &&
+      !guards_->gap_may_jump(g)) {
     guards_->mark(g, gap);
     return true;
   }

@@ -96,7 +96,8 @@ GapPath::Course GapPath::first(int guard, const Point& from, const Point& to, Po
 GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, double mismatch, Point& lo, Point& hi) {
   const double width = b.tau - a.tau;
   if (!std::isfinite(a.gap) || !std::isfinite(b.gap)) return Course::kFailed;
-  if (b.gap > 0.0 && a.gap + b.gap > guards_->motion(guard) * width) return Course::kClear;
+  const bool bounded = b.gap > 0.0 && a.gap + b.gap > guards_->motion(guard) * width;
+  if (bounded && !(guards_->gap_may_jump(guard) && width > smooth_width(guard))) return Course::kClear;
   const bool smooth = width <= smooth_width(guard), finest = width <= kFinest;
   if (smooth) {
     lo = a;

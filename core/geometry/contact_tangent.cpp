@@ -86,8 +86,8 @@ bool ContactTangent::take_point(const ContactPoint& p) {
     const Pair& pair = scene_->pairs[p.guard];
     const Geometry& g = scene_->geometries[side == 1 ? pair.a : pair.b];
     const Mat3 R = other.R * g.R_BG;
-    const Vec3 center = own.point(p.center_B);
-    const Mat3 B = g.surface->bend(R.transpose() * (center - other.point(g.p_BG)));
+    const Vec3 center = own.point(p.center_B), origin = other.point(g.p_BG);
+    const Mat3 B = g.surface->bend(R.transpose() * (center - origin), R.transpose() * (across - origin));
     if (!B.allFinite()) return refuse("the curvature of a surface given by a function is not known");
     surface_[1 - side] = ContactSurface::curved("surface given by a function", across, R * B * R.transpose());
     surface_[side] = ContactSurface::point("vertex", center, p.radius);

@@ -148,6 +148,7 @@ double Guards::limit_gap(int guard, const VecCRef& q) const {
 
 void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) {
   end_span();
+  if (guard < pairs_) manifolds_.set_persistent(guard, points);
   int& number = persistent_number_[guard];
   if (number < 0 && free_lists_.empty()) {
     free_lists_.push_back(static_cast<int>(persistent_points_.size()));
@@ -483,7 +484,7 @@ void Guards::mark(int guard, double gap_at_end) {
   // Which other features a persistent guard looks at depends on how the shapes lie: motion does not bound their gaps.
   // Against a halfspace all of them are looked at.
   const bool all = scene_->geometries[pair.a].unbounded || scene_->geometries[pair.b].unbounded;
-  if (is_persistent(guard) && !all) return;
+  if (is_persistent(guard) && (!all || gap_may_jump(guard))) return;
   marks_[guard] = both(odometer_, guard) + motion(guard) + reliable(guard, gap_at_end);
 }
 

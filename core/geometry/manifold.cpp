@@ -87,6 +87,8 @@ Parts parts_of(const PairView& v, std::int64_t n) {
   p.i = feature_i(n);
   const bool is_side = p.kind == Feature::kRimSideA || p.kind == Feature::kRimSideB;
   p.face = is_side ? p.plane->ring_face[feature_j(n) / 2] : is_end(p.kind) || is_rim_line(p.kind) ? -1 : feature_j(n);
+  // Over an unbounded plane that has stood in for a surface the number tells the foot.
+  if (p.face > 0 && p.plane->is_unbounded()) p.face = 0;
   p.rim = feature_rim(n);
   return p;
 }
@@ -288,7 +290,10 @@ class Manifolds::Least final : public CandidateSink {
 };
 
 Manifolds::Manifolds(const Scene& scene, int max_points) : scene_(&scene), max_points_(std::max(1, max_points)) {
-  for (const Geometry& g : scene.geometries) is_capsule_.push_back(g.sharp->getNodeType() == coal::GEOM_CAPSULE);
+  for (const Geometry& g : scene.geometries) {
+    is_capsule_.push_back(g.sharp->getNodeType() == coal::GEOM_CAPSULE);
+    any_feet_ |= g.surface && g.surface->knows_all_feet();
+  }
 }
 
 const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
@@ -316,10 +321,17 @@ Pose pose_of_surface(const Geometry& g, const Placements& at) {
   return {body.R * g.R_BG, body.point(g.p_BG)};
 }
 
+// From the frame of the body of a surface into its own.
+Vec3 in_surface(const Geometry& g, const Vec3& x_B) { return g.R_BG.transpose() * (x_B - g.p_BG); }
+
+// Of the distance, and [m]: feet that are no farther from each other are one.
+constexpr double kSameFoot = 1e-5, kSameFootLength = 1e-9;
+
 }  // namespace
 
 // All vertices of the other shape. A gap that is no number is listed whatever the limit is.
 void Manifolds::list_on_surface(int pair, const PairView& v, CandidateSink& sink) {
+  if (has_feet(pair)) return list_feet(pair, v, sink);
   const Geometry& g = *surface_of(pair);
   const bool on_b = &g == &scene_->geometries[scene_->pairs[pair].a];
   const ShapeFeatures& o = on_b ? *v.b : *v.a;
@@ -338,12 +350,71 @@ void Manifolds::list_on_surface(int pair, const PairView& v, CandidateSink& sink
   }
 }
 
+// All feet of all vertices that are nearer than twice the radius, and the nearest one of each vertex.
+void Manifolds::list_feet(int pair, const PairView& v, CandidateSink& sink) {
+  const Geometry& g = *surface_of(pair);
+  const bool on_b = &g == &scene_->geometries[scene_->pairs[pair].a];
+  const ShapeFeatures& o = on_b ? *v.b : *v.a;
+  const Pose &own = on_b ? v.pose_b : v.pose_a, &body = on_b ? v.pose_a : v.pose_b;
+  const Pose surface{body.R * g.R_BG, body.point(g.p_BG)};
+  const double reach = o.radius + std::clamp(sink.limit, 0.0, o.radius);
+  feet_.clear();
+  std::vector<SurfaceFoot> feet;
+  std::vector<int> numbers;
+  for (int i = 0; i < static_cast<int>(o.vertices.size()); ++i) {
+    const Vec3 x = surface.into(own.point(o.vertices[i]));
+    g.surface->all_feet(x, reach, feet);
+    numbers.clear();
+    for (const SurfaceFoot& foot : feet) numbers.push_back(number_of_foot(*g.surface, pair, i, x, foot.of(x)));
+    int free = 0;
+    for (std::size_t k = 0; k < feet.size(); ++k) {
+      while (numbers[k] < 0 && std::find(numbers.begin(), numbers.end(), free) != numbers.end()) ++free;
+      if (numbers[k] < 0) numbers[k] = free;
+      feet_.push_back(feet[k]);
+      const double gap = feet[k].distance - o.radius;
+      if (gap > sink.limit) continue;
+      sink.add({feature_number(on_b ? Feature::kVertexB : Feature::kVertexA, i, numbers[k]), gap,
+                surface.point(feet[k].of(x))});
+    }
+  }
+}
+
+// Of the foot of a vertex that belongs to a persistent point; -1: to none.
+int Manifolds::number_of_foot(const FunctionSurface& surface, int pair, int vertex, const Vec3& point,
+                              const Vec3& place) const {
+  for (const KnownFoot& known : known_feet_) {
+    if (known.pair != pair || feature_i(known.feature) != vertex) continue;
+    const SurfaceFoot foot = surface.foot_near(point, known.place);
+    if ((foot.of(point) - place).norm() <= kSameFoot * foot.distance + kSameFootLength) return feature_j(known.feature);
+  }
+  return -1;
+}
+
+bool Manifolds::has_feet(int pair) const {
+  const Geometry* g = any_feet_ ? surface_of(pair) : nullptr;
+  if (g == nullptr || !g->surface->knows_all_feet()) return false;
+  const Pair& p = scene_->pairs[pair];
+  return features(pair, g == &scene_->geometries[p.a] ? p.b : p.a).radius > 0.0;
+}
+
+void Manifolds::set_persistent(int pair, const std::vector<const ContactPoint*>& points) {
+  if (!has_feet(pair)) return;
+  known_feet_.erase(std::remove_if(known_feet_.begin(), known_feet_.end(),
+                                   [pair](const KnownFoot& known) { return known.pair == pair; }),
+                    known_feet_.end());
+  const Geometry& g = *surface_of(pair);
+  for (const ContactPoint* p : points) known_feet_.push_back({pair, p->feature, in_surface(g, p->far_B)});
+}
+
 void Manifolds::surface_gap(const ContactPoint& p, const Placements& at, Contact& contact) const {
   const Geometry& g = *surface_of(p.guard);
   const Pose surface = pose_of_surface(g, at);
   const Vec3 c = point_W(at, p.point_body, p.center_B), x = surface.into(c);
   SurfaceFoot foot{};
-  g.surface->nearest(&x, 1, p.radius, &foot);
+  if (g.surface->knows_all_feet() && p.radius > 0.0)
+    foot = g.surface->foot_near(x, in_surface(g, p.far_B));
+  else
+    g.surface->nearest(&x, 1, p.radius, &foot);
   set_contact(p, surface.R * foot.normal, c, foot.distance - p.radius, contact);
 }
 
@@ -605,6 +676,7 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
   }
   if (surface_of(pair) == nullptr) return p;
   p.kind = PointKind::kSurface;
+  p.far_B = parts.plane_pose->into(c.x_W);
   p.material = false;
   p.normal_B.setZero();
   p.offset = 0.0;
@@ -613,6 +685,12 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
 
 ContactPoint Manifolds::point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const {
   const Candidate named{feature, 0.0, 0.5 * (witness.point_a + witness.point_b)};
+  // Of several feet the one of this number, where it is now.
+  for (const KnownFoot& known : known_feet_) {
+    if (known.pair != pair || known.feature != feature) continue;
+    const Pose surface = pose_of_surface(*surface_of(pair), at);
+    return make_point(pair, view(pair, at), {feature, 0.0, surface.point(known.place)}, witness.normal);
+  }
   return make_point(pair, view(pair, at), named, witness.normal);
 }
 
@@ -677,7 +755,15 @@ double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Co
   return vertex_gap(point, point.far_B, at, contact) - kFarSlack;
 }
 
-void Manifolds::update_rim(ContactPoint& point, const Placements& at) const {
+void Manifolds::update_moving(ContactPoint& point, const Placements& at) {
+  if (point.kind == PointKind::kSurface && has_feet(point.guard)) {
+    Contact contact;
+    evaluate(point, at, contact);
+    point.far_B = point_B(at, point.plane_body, point.on_b ? contact.point_a : contact.point_b);
+    for (KnownFoot& known : known_feet_)
+      if (known.pair == point.guard && known.feature == point.feature)
+        known.place = in_surface(*surface_of(point.guard), point.far_B);
+  }
   if (point.kind == PointKind::kRimLine) {
     Vec3 apart;
     point.far_B = point_B(at, point.point_body, rim_line_point(point, at, apart));

@@ -21,7 +21,9 @@
 //     have in common, ends of lines (kEnd) or rims (kRimLine); so do they in all pairs of polytopes, cylinders and
 //     capsules (line_contact.hpp).
 // A surface that a function gives (model/function_surface.hpp) stands in the place of a halfspace: vertices, the ends
-// of a capsule and the centre of a ball, each against its own foot on the surface (kSurface).
+// of a capsule and the centre of a ball, each against its own foot on the surface (kSurface). Where all feet are known
+// a ball has a point at each of them, which goes with its foot: feet that belong to persistent points have their
+// numbers, the others the lowest numbers that are left.
 //
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
 //     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two
@@ -42,6 +44,11 @@
 namespace contactvi {
 
 enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge, kEnd, kRimLine, kSurface };
+
+// Whether where the point is found again is kept with it (far_B).
+inline bool moves_over_both(PointKind kind) {
+  return kind == PointKind::kRim || kind == PointKind::kRimLine || kind == PointKind::kSurface;
+}
 
 struct ContactPoint {
   int guard;
@@ -66,7 +73,8 @@ struct ContactPoint {
   // normal_B, swept by `offset`. Directed so that normal_B x axis_B points from a to b; on_b is true.
   // kEnd: the point center_B of point_body, swept by `radius`, against the line of plane_body through origin_B along
   // normal_B, swept by `offset`. kRimLine: the circle of kRim against such a line, where they are nearest near far_B.
-  // kSurface: the point center_B, swept by `radius`, against a surface that a function gives.
+  // kSurface: the point center_B, swept by `radius`, against a surface that a function gives; of several feet the one
+  // near far_B, in plane_body's frame.
   Vec3 origin_B;
 };
 
@@ -98,9 +106,13 @@ class Manifolds {
   // Coal's contact of the pair, to rounding (nearest_features.hpp). False where it stays as it is.
   bool refine(int pair, const Placements& at, Contact& contact) const;
 
-  // Sets the farthest point of a rim, and the point where it is nearest to a line, which move as the rim rolls, to
-  // those of these placements.
-  void update_rim(ContactPoint& point, const Placements& at) const;
+  // Sets the farthest point of a rim, the point where it is nearest to a line, and the foot on a surface, which move as
+  // the body rolls, to those of these placements.
+  void update_moving(ContactPoint& point, const Placements& at);
+  // Whether a ball of the pair may touch in several feet of a surface that a function gives.
+  bool has_feet(int pair) const;
+  // The points of a pair that persist from now on. Of no concern where the pair has no several feet.
+  void set_persistent(int pair, const std::vector<const ContactPoint*>& points);
   // Appends the ends of two axes that lie over the other one with gap <= margin, also of those that would touch next.
   void find_ends(int pair, const Placements& at, double margin, std::vector<ContactPoint>& points);
 
@@ -159,6 +171,8 @@ class Manifolds {
   // The geometry of a pair that is a surface given by a function, null: none.
   const Geometry* surface_of(int pair) const;
   void list_on_surface(int pair, const PairView& v, CandidateSink& sink);
+  void list_feet(int pair, const PairView& v, CandidateSink& sink);
+  int number_of_foot(const FunctionSurface& surface, int pair, int vertex, const Vec3& point, const Vec3& place) const;
   void surface_gap(const ContactPoint& p, const Placements& at, Contact& contact) const;
   class Least;
   bool take_out(std::vector<std::int64_t>& features);
@@ -172,6 +186,7 @@ class Manifolds {
 
   const Scene* scene_;
   int max_points_;
+  bool any_feet_ = false;         // whether a surface of the scene may touch a ball in several feet
   std::vector<bool> is_capsule_;  // per geometry
   // Workspace, which grows to the largest manifold found.
   std::vector<Candidate> found_;
@@ -179,6 +194,13 @@ class Manifolds {
   EdgeLists edges_;
   std::vector<Vec3> over_surface_;
   std::vector<SurfaceFoot> feet_;
+  // Of persistent points on surfaces where a ball may have several feet: where their feet are, in the surface's frame.
+  struct KnownFoot {
+    int pair;
+    std::int64_t feature;
+    Vec3 place;
+  };
+  std::vector<KnownFoot> known_feet_;
 };
 
 // See Manifolds::next_gap [m].

@@ -188,6 +188,17 @@ void FunctionSurface::nearest(const Vec3* points, int count, double ball, Surfac
     if (!std::isfinite(feet[i].distance) && points[i].norm() < kFarthest) lost_(points[i]);
 }
 
+void FunctionSurface::all_feet(const Vec3& point, double reach, std::vector<SurfaceFoot>& feet) const {
+  feet.resize(1);
+  nearest(&point, 1, reach, feet.data());
+}
+
+SurfaceFoot FunctionSurface::foot_near(const Vec3& point, const Vec3& /*place*/) const {
+  SurfaceFoot foot{};
+  nearest(&point, 1, 0.0, &foot);
+  return foot;
+}
+
 void HeightSurface::find(const Vec3* points, int count, double ball, SurfaceFoot* feet) const {
   std::vector<FootSearch> searches;
   std::vector<std::size_t> first;
@@ -199,7 +210,7 @@ void HeightSurface::find(const Vec3* points, int count, double ball, SurfaceFoot
   }
 }
 
-Mat3 HeightSurface::bend(const Vec3& point) const {
+Mat3 HeightSurface::bend(const Vec3& point, const Vec3& /*place*/) const {
   std::vector<FootSearch> searches;
   std::vector<std::size_t> first;
   search(&point, 1, function_, searches, first);
@@ -207,7 +218,7 @@ Mat3 HeightSurface::bend(const Vec3& point) const {
   return best == nullptr ? Mat3(Mat3::Constant(kNaN)) : best->bend();
 }
 
-Mat3 DistanceSurface::bend(const Vec3& point) const {
+Mat3 DistanceSurface::bend(const Vec3& point, const Vec3& /*place*/) const {
   SurfaceFoot foot{};
   nearest(&point, 1, 0.0, &foot);
   const Vec3 at = point - foot.distance * foot.normal;

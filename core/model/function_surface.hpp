@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <utility>
+#include <vector>
 
 #include "model/tree.hpp"
 
@@ -13,6 +14,9 @@ namespace contactvi {
 struct SurfaceFoot {
   double distance;
   Vec3 normal;
+
+  // Where it is, of the point whose foot it is.
+  Vec3 of(const Vec3& point) const { return point - distance * normal; }
 };
 
 // A surface is constant, and asked by several threads at once.
@@ -31,8 +35,17 @@ class FunctionSurface {
   void nearest(const Vec3* points, int count, double ball, SurfaceFoot* feet) const;
 
   // At the foot of a point: how the outward normal changes along the surface, dn = B dx (Weingarten's map), symmetric
-  // and zero along the normal [1/m]. Positive where the solid bulges. Not finite where it is not known.
-  virtual Mat3 bend(const Vec3& point) const = 0;
+  // and zero along the normal [1/m]. Positive where the solid bulges. Not finite where it is not known. Of several feet
+  // the one near `place`.
+  virtual Mat3 bend(const Vec3& point, const Vec3& place) const = 0;
+
+  // Whether all feet of a ball are known: it may then touch in several of them, each of which moves on its own.
+  virtual bool knows_all_feet() const { return false; }
+  // Of such a surface: the nearest foot of a point, and of one outside those on its side that are nearer than `reach`
+  // [m].
+  virtual void all_feet(const Vec3& point, double reach, std::vector<SurfaceFoot>& feet) const;
+  // Of such a surface: the foot to which the distance falls from a place near the surface.
+  virtual SurfaceFoot foot_near(const Vec3& point, const Vec3& place) const;
 
   // Of the distance of a point, how much may be relied on for points that are far: a foot is searched for in the
   // neighbourhood that the distance spans, not everywhere.
@@ -56,7 +69,7 @@ class HeightSurface final : public FunctionSurface {
   static constexpr int kValues = 6;
 
   HeightSurface(Function function, Lost lost) : FunctionSurface(std::move(lost)), function_(std::move(function)) {}
-  Mat3 bend(const Vec3& point) const override;
+  Mat3 bend(const Vec3& point, const Vec3& place) const override;
   double reliable_share() const override { return 0.5; }
 
  private:
@@ -76,7 +89,7 @@ class DistanceSurface final : public FunctionSurface {
 
   DistanceSurface(Function function, Lost lost) : FunctionSurface(std::move(lost)), function_(std::move(function)) {}
   // By differences of the gradient.
-  Mat3 bend(const Vec3& point) const override;
+  Mat3 bend(const Vec3& point, const Vec3& place) const override;
   double reliable_share() const override { return 1.0; }
 
  private:

@@ -409,9 +409,9 @@ bool ContactSet::points_changed(int guard) {
 
 int ContactSet::find_points(double time, Recording& recording) {
   for (PersistentContact& persistent : step_->contacts()) {
-    if (persistent.point.kind != PointKind::kRim && persistent.point.kind != PointKind::kRimLine) continue;
+    if (!moves_over_both(persistent.point.kind)) continue;
     guards_->place(run_->q);
-    guards_->manifolds().update_rim(persistent.point, guards_->placements());
+    guards_->manifolds().update_moving(persistent.point, guards_->placements());
   }
   int changed = -1;
   for (int g : persistent_guards_)

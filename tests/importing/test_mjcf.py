@@ -127,6 +127,31 @@ def off(m: mujoco.MjModel, qpos: np.ndarray, q: np.ndarray) -> float:
     return float(np.abs(apart).max())
 
 
+def test_a_smooth_height_field(tmp_path: Path):
+    """One surface through the file's samples, where MuJoCo has them; the report has the distance from its triangles."""
+    asset = (
+        '<asset><hfield name="hills" nrow="3" ncol="4" size="1 1 .5 .1" elevation="0 1 0 1 1 0 1 0 0 1 0 1"/></asset>'
+    )
+    world = '<geom name="hills" type="hfield" hfield="hills" pos=".1 .2 .3"/>'
+    world += '<body pos=".2 .1 2"><freejoint/><geom name="b" size=".1"/></body>'
+    (tmp_path / "m.xml").write_text(text(world, asset))
+    scene = cvi.Scene.from_mjcf(tmp_path / "m.xml", hfield="smooth")
+    assert scene.pair_names == [("hills", "b")]
+    known = [note.text for note in scene.report.all_notes("changed", "geom")]
+    assert len(known) == 1
+    assert "height field taken smooth" in known[0]
+    heights = 0.5 * np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1]], dtype=float)
+    number = scene.collision_model.getGeometryId("hills")
+    for i, y in enumerate(np.linspace(-1, 1, 3)):
+        for j, x in enumerate(np.linspace(-1, 1, 4)):
+            assert abs(scene.core().feet(number, np.array([x, y, heights[i, j]]), 0.0)[0, 0]) < 1e-12
+    run = cvi.simulate(scene, duration=1.0, dt=1e-3)
+    assert run.status.ok
+    assert len(run.events) > 0
+    with pytest.raises(cvi.InputError, match="height fields"):
+        cvi.Scene.from_mjcf(tmp_path / "m.xml", hfield="rough")
+
+
 def test_a_height_field_is_its_prisms(tmp_path: Path):
     asset = (
         '<asset><hfield name="hills" nrow="3" ncol="4" size="1 1 .5 .1" elevation="0 1 0 1 1 0 1 0 0 1 0 1"/></asset>'

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError
+from contactvi.importing.given_surfaces import with_surface
 from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.mjcf.actuators import actuators_of
 from contactvi.importing.mjcf.compiler import Source
@@ -54,6 +55,7 @@ class Choices:
     restitution: float | str | None
     allow: tuple[str, ...] = ()
     turning_friction: bool = False
+    hfield: str = "prisms"
 
 
 def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
@@ -72,7 +74,7 @@ def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
     tree = build_tree(source)
     name = _model_name(source) or opened.path.stem
     tree.model.name = name
-    shapes = Shapes(source)
+    shapes = Shapes(source, choices.hfield)
     collision, index = _collision(source, tree, shapes, hulls)
     drawn = [(_geometry(source, tree, g, shape), shape.mesh) for g in in_pictures(source) for shape in shapes.of(g)]
     forces = Forces(source, tree, prefix, placement, choices.gravity)
@@ -102,6 +104,10 @@ def part_of(opened: MjcfFile, choices: Choices, hulls: MeshHulls) -> Part:
         if np.any(m.key_act[key]) or np.any(m.key_ctrl[key]):
             source.lose("keyframe", title, "its controls (ctrl, act)")
     _place_free_joints(part)
+    for geom in range(m.ngeom):
+        for shape in shapes.of(geom) if geom in index else ():
+            if shape.field is not None:
+                part = with_surface(part, source.names["geom"][geom], shape.field)
     _note_rest(source)
     if not np.allclose(opened.gravity, choices.gravity):
         own = ", ".join(f"{x:g}" for x in opened.gravity)

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
 import coal
 import numpy as np
 
-from contactvi.importing.hulls import hull_of_points
+from contactvi.importing.height_fields import MOST_PRISMS, HeightField, count_prisms, prisms
 from contactvi.importing.mjcf.compiler import Source
 
-MOST_PRISMS = 2000  # of which a height field is made: more would take minutes to load
+HFIELDS = ("prisms", "smooth")  # how height fields are taken
 
 
 class Shape(NamedTuple):
     """A shape of a geom: what follows the geom's name, its solid for coal, and the number of its mesh if it has one.
 
-    The solid of a mesh is an empty one, in whose place a hull or a surface comes.
+    The solid of a mesh is an empty one, in whose place a hull or a surface comes. A height field has a halfspace, in
+    whose place it stands.
     """
 
     suffix: str
     solid: coal.CollisionGeometry
     mesh: int | None = None
+    field: HeightField | None = None
 
 
 _PRIMITIVES: dict[str, Callable[[np.ndarray], coal.CollisionGeometry]] = {
@@ -40,23 +41,23 @@ _PRIMITIVES: dict[str, Callable[[np.ndarray], coal.CollisionGeometry]] = {
 class Shapes:
     """The shapes of geoms in their frames, each made once."""
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
+    def __init__(self, source: Source, hfield: str) -> None:
+        self._source, self._hfield = source, hfield
         self._found: dict[int, list[Shape]] = {}
 
     def of(self, geom: int) -> list[Shape]:
         """Return the shapes of a geom: one, prisms of a height field, or none where there is no such shape."""
         if geom not in self._found:
-            self._found[geom] = _shapes_of(self._source, geom)
+            self._found[geom] = _shapes_of(self._source, geom, self._hfield)
         return self._found[geom]
 
 
-def _shapes_of(source: Source, geom: int) -> list[Shape]:
+def _shapes_of(source: Source, geom: int, hfield: str) -> list[Shape]:
     m, kind = source.m, source.word("Geom", source.m.geom_type[geom])
     if kind in _PRIMITIVES:
         return [Shape("", _PRIMITIVES[kind](np.array(m.geom_size[geom], dtype=float)))]
     if kind == "hfield":
-        return _prisms(source, geom)
+        return _height_field(source, geom, hfield)
     if kind in ("mesh", "sdf"):
         if kind == "sdf":
             source.lose("geom", source.names["geom"][geom], "signed distance field: the hull of its mesh is used")
@@ -65,25 +66,23 @@ def _shapes_of(source: Source, geom: int) -> list[Shape]:
     return []
 
 
-def _prisms(source: Source, geom: int) -> list[Shape]:
-    """Return the convex prisms of a height field, two for each cell, cut as MuJoCo cuts them."""
+def _height_field(source: Source, geom: int, hfield: str) -> list[Shape]:
     m, k, name = source.m, int(source.m.geom_dataid[geom]), source.names["geom"][geom]
     rows, columns = int(m.hfield_nrow[k]), int(m.hfield_ncol[k])
-    count = 2 * (rows - 1) * (columns - 1)
-    if count > MOST_PRISMS:
-        source.lose("geom", name, f"height field of more than {MOST_PRISMS // 2} cells")
-        return []
     half_x, half_y, top, base = (float(x) for x in m.hfield_size[k])
     first = int(m.hfield_adr[k])
     z = top * np.array(m.hfield_data[first : first + rows * columns], dtype=float).reshape(rows, columns)
-    x, y = np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows)
-    found = []
-    for r, c in itertools.product(range(rows - 1), range(columns - 1)):
-        a, b, d, e = (r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)
-        for half, corners in enumerate(((d, a, e), (a, e, b))):
-            points = [(x[j], y[i], height) for i, j in corners for height in (z[i, j], -base)]
-            found.append(Shape(f"_{r}_{c}_{half}", hull_of_points(np.array(points), f"{name}_{r}_{c}_{half}")))
-    return found
+    field = HeightField(z, 2.0 * np.array([half_x, half_y]))
+    if hfield == "smooth":
+        off = field.from_triangles()
+        text = f"height field taken smooth: {off.largest:.3g} m from the file's triangles at most, {off.mean:.3g} m in "
+        source.report.note("changed", "geom", name, text + "the mean; it has no bottom")
+        return [Shape("", coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), field=field)]
+    if count_prisms(z) > MOST_PRISMS:
+        source.lose("geom", name, f"height field of more than {MOST_PRISMS // 2} cells")
+        return []
+    source.report.note("used", "geom", name, "height field taken as prisms of the file's triangles: 0 m from them")
+    return [Shape(suffix, solid) for suffix, solid in prisms(z, field.size, base, name)]
 
 
 def color_of(source: Source, geom: int) -> np.ndarray:
@@ -100,4 +99,4 @@ def in_pictures(source: Source) -> list[int]:
     return shown or list(range(source.m.ngeom))
 
 
-__all__ = ["MOST_PRISMS", "Shape", "Shapes", "color_of", "in_pictures"]
+__all__ = ["HFIELDS", "MOST_PRISMS", "Shape", "Shapes", "color_of", "in_pictures"]

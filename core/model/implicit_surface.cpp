@@ -1,0 +1,234 @@
+#include "model/implicit_surface.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+namespace {
+
+using Vec2 = Eigen::Vector2d;
+using Mat2 = Eigen::Matrix2d;
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+// A step of this length, of the distance and in metres, is the last one: Newton's method doubles the digits.
+constexpr double kLast = 1e-9, kLastLength = 1e-11;
+constexpr int kRounds = 60, kReturns = 30;
+// Of the size of a cell: what is left of the way back onto the surface, where the next step is rounding.
+constexpr double kBack = 1e-9;
+// Of the size of a cell: no longer step; and beyond this way another cell has searches of its own.
+constexpr double kLongest = 1.0, kFarthest = 4.0;
+// Squares of distances are known to rounding: one that is larger by this part has not grown.
+constexpr double kRounding = 1e-13;
+constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-6;
+// With a lower curvature of the squared distance a place is a saddle and no foot.
+constexpr double kSaddle = -1e-6;
+// Normals in a cell differ from that in its middle by no more than this times the largest difference at its corners; of
+// those that differ by much nothing is concluded.
+constexpr double kMoreSpread = 1.5, kMostSpread = 0.7;
+// Of the distance, and [m]: feet that are no farther from each other are one.
+constexpr double kSameFoot = 1e-6, kSameFootLength = 1e-9;
+
+}  // namespace
+
+class ImplicitSurface::Search {
+ public:
+  Search(const ImplicitSurface& surface, const Vec3& x, const Vec3& start, double farthest)
+      : surface_(&surface), x_(x), start_(start), farthest_(farthest) {
+    Vec3 next = start;
+    for (int round = 0; round < kRounds && state_ == State::kSearches; ++round) next = take(next);
+  }
+
+  bool found() const { return state_ == State::kFound && !is_saddle_; }
+  bool at_saddle() const { return state_ == State::kFound && is_saddle_; }
+  double square() const { return square_; }
+  const Vec3& at() const { return at_; }
+  SurfaceFoot foot() const { return {normal_.dot(x_ - at_), normal_}; }
+  Mat3 bend() const {
+    const Mat3 across = Mat3::Identity() - normal_ * normal_.transpose();
+    return across * value_.hessian * across / value_.gradient.norm();
+  }
+  // A place beside a saddle.
+  Vec3 beside() const { return at_ + 0.3 * surface_->size_ * any_tangent(normal_); }
+
+ private:
+  enum class State : std::uint8_t { kSearches, kFound, kFailed };
+
+  // The place on the surface next to p, and the level set there.
+  bool back(Vec3& p, LevelSet::Value& v) const {
+    for (int k = 0; k < kReturns; ++k) {
+      v = surface_->value(p);
+      const double square = v.gradient.squaredNorm();
+      if (!std::isfinite(v.f) || !(square > 0.0)) return false;
+      const Vec3 step = v.f / square * v.gradient;
+      const double longest = kLongest * surface_->size_, length = step.norm();
+      p -= length > longest ? Vec3(longest / length * step) : step;
+      if (length > kBack * surface_->size_) continue;
+      v = surface_->value(p);
+      return std::isfinite(v.f);
+    }
+    return false;
+  }
+
+  Vec3 take(Vec3 p) {
+    LevelSet::Value v;
+    if (!back(p, v)) {
+      if (square_ == kInfinity || damping_ > 1e6) state_ = State::kFailed;
+      damping_ = std::max(kFirstDamping, kMore * damping_);
+      return square_ == kInfinity ? p : step();
+    }
+    const double square = (p - x_).squaredNorm();
+    if (last_ || square <= square_ * (1.0 + kRounding)) {
+      square_ = square;
+      at_ = p;
+      value_ = v;
+      normal_ = v.gradient.normalized();
+      damping_ = damping_ * kLess < kNoDamping ? 0.0 : damping_ * kLess;
+    } else {
+      damping_ = std::max(kFirstDamping, kMore * damping_);
+    }
+    if (last_) state_ = State::kFound;
+    if ((at_ - start_).norm() > farthest_) state_ = State::kFailed;
+    return state_ == State::kSearches ? step() : at_;
+  }
+
+  // In the tangent plane: with the multiplier of the surface the Hessian is that of the Lagrangian.
+  Vec3 step() {
+    const Vec3 from = at_ - x_, t1 = any_tangent(normal_), t2 = normal_.cross(t1);
+    const Mat3 lagrangian = Mat3::Identity() - from.dot(normal_) / value_.gradient.norm() * value_.hessian;
+    Eigen::Matrix<double, 3, 2> T;
+    T << t1, t2;
+    Mat2 hessian = T.transpose() * lagrangian * T;
+    const double middle = 0.5 * hessian.trace(),
+                 least = middle - std::sqrt(std::max(0.0, middle * middle - hessian.determinant()));
+    is_saddle_ = least < kSaddle;
+    if (damping_ > 0.0 || !(least > 0.0)) hessian.diagonal().array() += std::max(damping_, kFirstDamping - least);
+    Vec2 s = -hessian.inverse() * (T.transpose() * from);
+    const double length = s.norm(), longest = kLongest * surface_->size_;
+    if (length > longest) s *= longest / length;
+    last_ = length <= kLast * std::sqrt(square_) + kLastLength;
+    return at_ + T * s;
+  }
+
+  const ImplicitSurface* surface_;
+  Vec3 x_, start_, at_ = Vec3::Zero(), normal_ = Vec3::UnitZ();
+  LevelSet::Value value_{};
+  double square_ = kInfinity, damping_ = 0.0, farthest_;
+  bool last_ = false, is_saddle_ = false;
+  State state_ = State::kSearches;
+};
+
+ImplicitSurface::ImplicitSurface(std::unique_ptr<const LevelSet> level, bool inverse, const BoxTree::Box& box,
+                                 const Eigen::Vector3i& cells, Lost lost)
+    : FunctionSurface(std::move(lost)),
+      level_(std::move(level)),
+      sign_(inverse ? -1.0 : 1.0),
+      size_(box.sizes().cwiseQuotient(cells.cast<double>()).norm()),
+      boxes_(passed(box, cells)),
+      tree_(boxes_) {
+  for (const BoxTree::Box& cell : boxes_) parts_.push_back(part_in(cell));
+}
+
+ImplicitSurface::Part ImplicitSurface::part_in(const BoxTree::Box& cell) const {
+  const LevelSet::Value middle = value(cell.center());
+  const Vec3 way = middle.f / middle.gradient.squaredNorm() * middle.gradient;
+  Part part{cell.center() - way, middle.gradient.normalized(), 0.5 * size_ + way.norm(), 0.0};
+  for (int c = 0; c < 8; ++c) {
+    const Vec3 normal = value(cell.corner(static_cast<BoxTree::Box::CornerType>(c))).gradient.normalized();
+    const double sine = kMoreSpread * part.normal.cross(normal).norm();
+    part.spread = sine < kMostSpread && part.normal.dot(normal) > 0.0 ? std::max(part.spread, sine) : kInfinity;
+    if (part.spread == kInfinity) break;
+  }
+  return part;
+}
+
+// Of a foot q of x in the cell x - q is along its normal.
+bool ImplicitSurface::may_hold(const Part& part, const Vec3& point, double limit) const {
+  if (part.spread == kInfinity) return true;
+  const Vec3 from = point - part.place;
+  const double along = from.dot(part.normal), aside = (from - along * part.normal).norm();
+  const double out = std::max(0.0, aside - part.reach),
+               near = std::max(0.0, std::abs(along) - part.reach * part.spread);
+  return out <= (std::abs(along) + part.reach) * part.spread && near * near + out * out <= limit * limit;
+}
+
+LevelSet::Value ImplicitSurface::value(const Vec3& x) const {
+  LevelSet::Value v = level_->at(x);
+  if (sign_ < 0.0) v = {-v.f, -v.gradient, -v.hessian};
+  return v;
+}
+
+// The cells of a grid whose corners do not all lie on one side.
+std::vector<BoxTree::Box> ImplicitSurface::passed(const BoxTree::Box& box, const Eigen::Vector3i& cells) const {
+  const Vec3 spacing = box.sizes().cwiseQuotient(cells.cast<double>());
+  const auto corner = [&](int i, int j, int k) -> Vec3 { return box.min() + spacing.cwiseProduct(Vec3(i, j, k)); };
+  const int ny = cells[1] + 1, nz = cells[2] + 1;
+  std::vector<char> inside;
+  for (int i = 0; i <= cells[0]; ++i)
+    for (int j = 0; j < ny; ++j)
+      for (int k = 0; k < nz; ++k) {
+        // The ends of the box, which rounding may have left.
+        const Vec3 x = corner(i, j, k).cwiseMax(box.min()).cwiseMin(box.max());
+        inside.push_back(level_->at(x).f < 0.0 ? 1 : 0);
+      }
+  std::vector<BoxTree::Box> found;
+  for (int i = 0; i < cells[0]; ++i)
+    for (int j = 0; j < cells[1]; ++j)
+      for (int k = 0; k < cells[2]; ++k) {
+        int count = 0;
+        for (int c = 0; c < 8; ++c)
+          count += inside[static_cast<std::size_t>(((i + c / 4) * ny + j + c / 2 % 2) * nz + k + c % 2)];
+        if (count > 0 && count < 8) found.emplace_back(corner(i, j, k), corner(i + 1, j + 1, k + 1));
+      }
+  return found;
+}
+
+void ImplicitSurface::all_feet(const Vec3& point, double reach, std::vector<SurfaceFoot>& feet) const {
+  std::vector<Search> found;
+  double nearest = kInfinity;
+  const auto limit = [&] { return std::max(nearest, reach); };
+  tree_.near(point, kInfinity, [&](int cell) {
+    const BoxTree::Box& box = boxes_[static_cast<std::size_t>(cell)];
+    if (!may_hold(parts_[static_cast<std::size_t>(cell)], point, limit())) return limit();
+    if (std::any_of(found.begin(), found.end(), [&](const Search& s) { return box.contains(s.at()); })) return limit();
+    Search s(*this, point, box.center(), kFarthest * size_);
+    if (s.at_saddle()) s = Search(*this, point, s.beside(), kFarthest * size_);
+    if (!s.found()) return limit();
+    const double distance = std::sqrt(s.square()), same = kSameFoot * distance + kSameFootLength;
+    nearest = std::min(nearest, distance);
+    if (std::none_of(found.begin(), found.end(), [&](const Search& o) { return (o.at() - s.at()).norm() <= same; }))
+      found.push_back(s);
+    return limit();
+  });
+  std::sort(found.begin(), found.end(), [](const Search& a, const Search& b) { return a.square() < b.square(); });
+  feet.clear();
+  for (const Search& s : found)
+    if (feet.empty() || (s.square() < reach * reach && feet[0].distance > 0.0 && s.foot().distance > 0.0))
+      feet.push_back(s.foot());
+  if (feet.empty()) feet.push_back({kNaN, Vec3::UnitZ()});
+}
+
+SurfaceFoot ImplicitSurface::foot_near(const Vec3& point, const Vec3& place) const {
+  if (!point.allFinite()) return {kNaN, Vec3::UnitZ()};
+  const Search s(*this, point, place, kInfinity);
+  return s.found() ? s.foot() : SurfaceFoot{kNaN, Vec3::UnitZ()};
+}
+
+Mat3 ImplicitSurface::bend(const Vec3& point, const Vec3& place) const {
+  const Search s(*this, point, place, kInfinity);
+  return s.found() ? s.bend() : Mat3(Mat3::Constant(kNaN));
+}
+
+void ImplicitSurface::find(const Vec3* points, int count, double /*ball*/, SurfaceFoot* feet) const {
+  std::vector<SurfaceFoot> found;
+  for (int i = 0; i < count; ++i) {
+    all_feet(points[i], 0.0, found);
+    feet[i] = found[0];
+  }
+}
+
+}  // namespace contactvi
