@@ -32,7 +32,7 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
     Args:
         run: a Trajectory, or a Simulator that has been reset.
         open_browser: open a browser window; None: yes, but not in a notebook, where the result shows itself as the last
-            line of a cell. The address is printed in any case.
+            line of a cell. The address is printed, but not in a notebook.
         **options: as of `Trajectory.to_html`; fps and play of a Trajectory alone, and of a Simulator alone
             realtime.
 

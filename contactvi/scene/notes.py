@@ -26,9 +26,10 @@ _SECTIONS = {  # method -> section
     "add_joint_equality": "equality",
     "prescribe": "prescribe",
 }
+_SOLIDS = ("add_torus", "add_superellipsoid", "add_solid")
 _OTHERS = (  # methods that are noted, too
     "set_contact", "disable_pair", "enable_pair", "disable_overlapping", "remove", "add_surface", "add_potential",
-    "add_force", "set_surface", "add_model", "add_torus", "add_superellipsoid", "add_solid",
+    "add_force", "set_surface", "add_model", *_SOLIDS,
 )  # fmt: skip
 
 
@@ -79,7 +80,8 @@ class Notes:
             self.entries.append(_entry(method, section, given, result))
         else:
             keys = {"name": result} if isinstance(result, str) else {}
-            self.entries.append(Entry(method, keys, f"{method}({_first(given)}), which no scene file has"))
+            why = "has no section in scene files" if method in _SOLIDS else "takes functions or a model"
+            self.entries.append(Entry(method, keys, f"{method}({_first(given)}), which {why}"))
 
 
 def _is_element(entry: Entry, name: str) -> bool:
