@@ -148,7 +148,7 @@ double Guards::limit_gap(int guard, const VecCRef& q) const {
 
 void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) {
   end_span();
-  if (guard < pairs_) manifolds_.set_persistent(guard, points);
+  if (manifolds_.any_feet() && guard < pairs_) manifolds_.set_persistent(guard, points);
   int& number = persistent_number_[guard];
   if (number < 0 && free_lists_.empty()) {
     free_lists_.push_back(static_cast<int>(persistent_points_.size()));

@@ -94,7 +94,9 @@ class Guards {
   void set_persistent(int guard, std::vector<const ContactPoint*> points);
   bool is_persistent(int guard) const { return persistent_number_[guard] >= 0; }
   // Whether feet may appear beside persistent ones, at any gap: motion does not bound such a gap.
-  bool gap_may_jump(int guard) const { return is_persistent(guard) && guard < pairs_ && manifolds_.has_feet(guard); }
+  bool gap_may_jump(int guard) const {
+    return manifolds_.any_feet() && is_persistent(guard) && guard < pairs_ && manifolds_.has_feet(guard);
+  }
   // W = d(gap)/dq, shape (nv,).
   void gradient(int guard, const Contact& contact, VecRef W) const;
   // The joints that a guard's gap depends on; one that moves both bodies of a pair may be named twice.

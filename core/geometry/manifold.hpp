@@ -109,7 +109,8 @@ class Manifolds {
   // Sets the farthest point of a rim, the point where it is nearest to a line, and the foot on a surface, which move as
   // the body rolls, to those of these placements.
   void update_moving(ContactPoint& point, const Placements& at);
-  // Whether a ball of the pair may touch in several feet of a surface that a function gives.
+  // Whether a ball of the pair, or of any, may touch in several feet of a surface that a function gives.
+  bool any_feet() const { return any_feet_; }
   bool has_feet(int pair) const;
   // The points of a pair that persist from now on. Of no concern where the pair has no several feet.
   void set_persistent(int pair, const std::vector<const ContactPoint*>& points);
