@@ -11,7 +11,8 @@ class SurfaceVelocityTangent {
   // Takes the contact of a guard at the time t [s], which `contact` has taken, with its first tangent.
   void take(const Scene& scene, int guard, const ContactTangent& contact, const Vec3& t1, double t);
   bool moves() const { return moves_; }
-  // As the rows of the contact have it (TangentFrame::rows) [m/s], and its derivatives by the time and along the last direction of `contact`.
+  // As the rows of the contact have it (TangentFrame::rows) [m/s], and its derivatives by the time and along the last
+  // direction of `contact`.
   const Eigen::Vector2d& velocity() const { return velocity_; }
   const Eigen::Vector2d& rate() const { return rate_; }
   Eigen::Vector2d change(const ContactTangent& contact) const;

@@ -84,8 +84,8 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   if (step.ending == ContactStepEnd::kStick) take_released_friction();
 }
 
-// Whether the friction of a contact is against its slip over the step. Of a slip that is as small as what the step leaves
-// of its equations it may not be: then the contact is at the limit of its friction, and sticks.
+// Whether the friction of a contact is against its slip over the step. Of a slip that is as small as what the step
+// leaves of its equations it may not be: then the contact is at the limit of its friction, and sticks.
 bool ContactStepTangent::follows_slip(const ContactStepRecord::Contact& c, double mu) const {
   const VecX& lambda = record_->lambda;
   const Eigen::Vector2d& slip = c.outcome.slip;

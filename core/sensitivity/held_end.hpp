@@ -1,6 +1,6 @@
 // The end of a held step, as a function of the state before its last impulse: the velocity there, the impulse and the
-// numbers of slips (held_node.hpp) that leave the rows and what is across the slips no speed, and the slips that come to
-// rest.
+// numbers of slips (held_node.hpp) that leave the rows and what is across the slips no speed, and the slips that come
+// to rest.
 #pragma once
 
 #include "sensitivity/end_force.hpp"

@@ -4,9 +4,9 @@
 // All of them are combinations of columns: the gradients of the constraints, those of the normal and of both tangents
 // of each contact, and those of the joints. A row has an impulse, which acts along its column, but that of a sliding
 // contact along n - mu d, d the direction of its slip. This is an angle between its tangents, which acts as well: a
-// turn of it by -mu times the impulse, across the slip. Where friction depends on the speed of the slip the coefficients
-// are unknown numbers beside the angles: they act by minus the impulse along the slip, and the equation of each is
-// d mu - mu' d(slip) = 0, mu' its slope. The numbers of the slips are the angles and then these coefficients.
+// turn of it by -mu times the impulse, across the slip. Where friction depends on the speed of the slip the
+// coefficients are unknown numbers beside the angles: they act by minus the impulse along the slip, and the equation of
+// each is d mu - mu' d(slip) = 0, mu' its slope. The numbers of the slips are the angles and then these coefficients.
 //
 // Surfaces that move along themselves have speeds in the rows and slips beside those of the bodies. Adhesion is a
 // force along a normal, a given function of the time.
@@ -77,8 +77,8 @@ class HeldNode {
   const VecX& rates() const { return rates_; }
   // Constant forces, with adhesion [N].
   const VecX& load() const { return load_; }
-  // Derivatives by time, at a fixed configuration, of the force, of the watched speeds at a constant v, and of the slips
-  // along their directions.
+  // Derivatives by time, at a fixed configuration, of the force, of the watched speeds at a constant v, and of the
+  // slips along their directions.
   VecX force_rate() const;
   VecX speed_rates(const VecX& v) const;
   VecX slip_rates() const { return lead_.transpose() * own_rates_; }

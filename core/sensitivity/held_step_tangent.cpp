@@ -338,8 +338,8 @@ void HeldStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp
   VecX x = VecX::Zero(unknowns()), off(unknowns()), end(end_.size());
   const VecX none = VecX::Zero(unknowns() - own), start = start_numbers(d);
   assess(d, x, start, VecX::Zero(rows_ + numbers()), off, end);
-  // What the direction alone changes: of the momenta of the stages, as by inputs, and of the time or the length, in which
-  // forces and reactions may cancel.
+  // What the direction alone changes: of the momenta of the stages, as by inputs, and of the time or the length, in
+  // which forces and reactions may cancel.
   double reactions = 0.0;
   for (const HeldNode& node : nodes_) reactions += node.force().cwiseAbs().maxCoeff();
   const double q = std::max(

@@ -1,6 +1,6 @@
 // What a run did where its motion has a kink: along a direction that leads to both sides the derivative is that of the
-// branch that was taken, an element of the generalised derivative (Clarke, "Optimization and nonsmooth analysis", 1983),
-// or there is none, by choice.
+// branch that was taken, an element of the generalised derivative (Clarke, "Optimization and nonsmooth analysis",
+// 1983), or there is none, by choice.
 #pragma once
 
 #include <vector>

@@ -29,8 +29,8 @@ class SlipStart {
   // Adds to turns, the changes of all directions, (slides,), those of the slips that begin. dmu: of the coefficients of
   // friction of the slides.
   void add_turns(const ContactStepDirection& direction, const VecX& dmu, VecX& turns);
-  // Adds what the gradients in their directions, of lturns, make of the gradients in the other ones, in the coefficients
-  // of friction, (slides,) or none, and in parameters.
+  // Adds what the gradients in their directions, of lturns, make of the gradients in the other ones, in the
+  // coefficients of friction, (slides,) or none, and in parameters.
   void pass(VecX& lturns, VecX& lmu, StepParameters& sums);
 
  private:
