@@ -284,7 +284,7 @@ class SceneShapes(ABC):
         *,
         hollow: bool = False,
     ) -> BodyHandle:
-        """Add the solid |x/a|^n + |y/b|^n + |z/c|^n <= 1: half axes [m], (3,), and the exponent n in 2..32.
+        """Add the solid ``|x/a|^n + |y/b|^n + |z/c|^n <= 1``: half axes [m], (3,), and the exponent n in 2..32.
 
         From an ellipsoid (2) towards a box with round edges. What touches it, `hollow` and the rest as in add_torus.
         """
