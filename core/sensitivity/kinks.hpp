@@ -15,7 +15,7 @@ class Kinks {
   bool taken() const { return taken_; }
   // Throws the obstacle, or notes where it was.
   void meet(const NoDerivative& obstacle) {
-    if (!taken_) throw obstacle;
+    if (!taken_) throw NoDerivative(obstacle);
     const Obstacle& at = obstacle.where;
     if (!met_.empty() && met_.back().time == at.time && met_.back().guard == at.guard) return;
     met_.push_back(at);
