@@ -15,8 +15,8 @@ class Kinks {
   bool taken() const { return taken_; }
   // Throws the obstacle, or notes where it was.
   void meet(const NoDerivative& obstacle) {
-    if (!taken_) throw NoDerivative(obstacle);
     const Obstacle& at = obstacle.where;
+    if (!taken_) throw NoDerivative(at, obstacle.what(), obstacle.expected, obstacle.got, obstacle.remedy);
     if (!met_.empty() && met_.back().time == at.time && met_.back().guard == at.guard) return;
     met_.push_back(at);
   }
