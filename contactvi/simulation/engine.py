@@ -24,7 +24,7 @@ Progress = Callable[[float, int], object]
 _MOST_WAITING = 4  # engines of a scene with other settings that wait for a run
 # What `make` takes of the options, or makes it of.
 _OF_THE_ENGINE = (
-    "dt", "tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
+    "dt", "tol", "solver_tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
     "dt_contact", "zeno", "support", "contact_points", "record_contacts", "record", "contact_mode", "record_every",
 )  # fmt: skip
 _FIRST_DT = 0.02  # [s] with "auto" the first guess of the engine, which it corrects before the first impact

@@ -39,7 +39,7 @@ def ball() -> cvi.Trajectory:
 
 
 def open_page(browser, traj: cvi.Trajectory, folder: Path, **options) -> None:
-    browser.get(traj.to_html(folder / "playback.html", **options).as_uri())
+    browser.get(traj.to_html(folder / "playback.html", overwrite=True, **options).as_uri())
 
 
 def time_of(browser) -> float:

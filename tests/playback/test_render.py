@@ -124,12 +124,12 @@ def test_picture_of_one_time(falling, tmp_path):
     """It fits to the ball at that time; seen from one place the ball falls through the picture."""
     heights, place = [], {"eye": [0.0, -2.0, 0.6], "target": [0.0, 0.0, 0.6]}
     for time in (0.0, 0.4):
-        near = falling.render(tmp_path / "near.png", at=time, size="320x240", camera="side")
+        near = falling.render(tmp_path / "near.png", overwrite=True, at=time, size="320x240", camera="side")
         with Image.open(near) as image:
             rows, columns = np.nonzero(green(np.asarray(image.convert("RGB"))))
         assert max(np.ptp(rows) / 240, np.ptp(columns) / 320) > 0.5
         assert abs(rows.mean() - 119.5) < 12
-        file = falling.render(tmp_path / "a.png", at=time, size="320x240", camera=place)
+        file = falling.render(tmp_path / "a.png", overwrite=True, at=time, size="320x240", camera=place)
         with Image.open(file) as image:
             assert image.size == (320, 240)
             shown = green(np.asarray(image.convert("RGB")))
@@ -185,7 +185,7 @@ def test_film_of_ffmpeg(falling, tmp_path):
 def test_pictures_show_forces_on_wish(tmp_path):
     box, shown = sliding_box(), []
     for forces in (True, False):
-        with Image.open(box.render(tmp_path / "a.png", at=0.5, size=(320, 240), forces=forces)) as image:
+        with Image.open(box.render(tmp_path / f"{forces}.png", at=0.5, size=(320, 240), forces=forces)) as image:
             pixels = np.asarray(image.convert("RGB")).astype(int)
         shown.append((np.abs(pixels - (0x1E, 0x4F, 0xBF)).max(axis=2) < 40).sum())
     assert shown[0] > 100
