@@ -493,3 +493,12 @@ def test_the_first_impact_of_every_pair():
         assert event.time == min(other.time for other in traj.events if other.pair == pair)
     flight = cvi.simulate(ball_scene(), duration=0.01, dt=1e-2)
     assert flight.events.first_by_pair() == {}
+
+
+def test_an_engine_that_waits_is_for_its_own_tolerance():
+    """Engines of a scene are used again by runs with the same settings alone."""
+    scene, q = hand_scene()
+    v = np.linspace(-1.0, 1.0, scene.nv)
+    runs = [cvi.simulate(scene, q, v, duration=0.1, dt=0.01, solver_tol=tol) for tol in (1e-12, 1e-3, 1e-12)]
+    assert not np.array_equal(runs[0].q[-1], runs[1].q[-1])
+    np.testing.assert_array_equal(runs[0].q, runs[2].q)
