@@ -457,6 +457,7 @@ std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double
   std::vector<ContactStepRecord> steps;
   while (!reader.done()) {
     step_fields(reader, steps.emplace_back());
+    steps.back().from_file = true;
     if (!Check(scene, steps.back()).fits()) refuse("numbers of another scene");
   }
   return steps;
@@ -506,6 +507,7 @@ std::vector<HeldStepRecord> held_steps_of(const Scene& scene, const double* numb
   std::vector<HeldStepRecord> steps;
   while (!reader.done()) {
     held_fields(reader, steps.emplace_back());
+    steps.back().from_file = true;
     if (!belongs(scene, steps.back())) refuse("numbers of another scene");
   }
   return steps;

@@ -41,7 +41,8 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   record_ = &step;
   margin_ = 1.0;
   slip_change_ = 0.0;
-  for (const auto& c : step.contacts) require_known_law(*scene_, c.before.point.guard, step.t);
+  const auto require = step.from_file ? require_plain_law : require_known_law;
+  for (const auto& c : step.contacts) require(*scene_, c.before.point.guard, step.t);
   rows_ = static_cast<int>(step.lambda.size());
   constraints_ = step.constrained ? start_constraints_.rows() : 0;
   twists0_.place(step.q0);

@@ -21,11 +21,12 @@ void require_plain_law(const Scene& scene, int guard, double time) {
   require_known_law(scene, guard, time);
   const ContactLaw* law = scene.law(guard);
   const char* expected =
-      "in dense steps Coulomb's friction with one number, on surfaces that do not move along themselves";
+      "in dense steps and in runs from files Coulomb's friction with one number, on surfaces that do not move along "
+      "themselves, without adhesion";
   if (scene.is_pair(guard) && scene.pairs[guard].moves && scene.friction(guard) > 0.0)
     refuse(guard, time, expected, "a surface that moves along itself");
-  if (law != nullptr && (scene.friction_varies(guard) || law->axis_of >= 0))
-    refuse(guard, time, expected, "another law of friction");
+  if (law != nullptr && (scene.friction_varies(guard) || law->axis_of >= 0 || law->pull.given()))
+    refuse(guard, time, expected, "another law of friction, or adhesion");
 }
 
 bool takes_friction(const Scene& scene, const PersistentContact& contact) {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -132,4 +133,15 @@ def test_dense_steps_refuse() -> None:
     run = cvi.simulate(scene, q, v, duration=0.1, dt=0.01, contact_mode="steps", record="gradient")
     with pytest.raises(cvi.NotDifferentiable, match="law") as refused:
         run.sensitivity("v0")
+    assert refused.value.reason == "law"
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_runs_from_files_refuse(order: int, tmp_path: Path) -> None:
+    """A file does not keep what these laws need."""
+    scene, q, v = box(PLAIN, **BELT)
+    run = cvi.simulate(scene, q, v, duration=0.1, dt=0.01, order=order, record="gradient")
+    again = cvi.Trajectory.load(run.save(tmp_path / "run.npz"))
+    with pytest.raises(cvi.NotDifferentiable, match="files") as refused:
+        again.sensitivity("v0")
     assert refused.value.reason == "law"

@@ -299,7 +299,7 @@ def test_steps_are_kept_in_files_and_copies(tmp_path):
     traj, _, _ = recorded(TOUCHING["a linkage strikes a ball"][0](), duration=0.5, dt=0.02, order=4)
     for start in (RUNS["a corner sticks"][0](), RUNS["a corner slips, and turns"][0](), servo_arm(0.3, 0.2)):
         kept, _, _ = recorded(start, duration=0.4 if start[0].nv == 2 else 0.12, dt=0.01, order=4, target=None)
-        again = cvi.Trajectory.load(kept.save(tmp_path / "kept.npz"))
+        again = cvi.Trajectory.load(kept.save(tmp_path / "kept.npz", overwrite=True))
         assert np.array_equal(again.sensitivity().matrix, kept.sensitivity().matrix)
     for again in (cvi.Trajectory.load(traj.save(tmp_path / "run.npz")), copy.deepcopy(traj)):
         assert np.array_equal(again.sensitivity().matrix, traj.sensitivity().matrix)
