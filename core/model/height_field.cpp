@@ -43,12 +43,15 @@ class HeightField::Search {
   bool at_saddle() const { return ends_ && is_saddle_; }
   double square() const { return square_; }
   const Vec2& at() const { return at_; }
+  // Whether the place is no higher than the point. From beside the block the solid under a higher one is nearer.
+  bool is_below() const { return height_.f <= x_[2]; }
 
   SurfaceFoot foot() const {
     const Vec3 normal = Vec3(-height_.slope[0], -height_.slope[1], 1.0).normalized();
     const Vec3 from(x_[0] - at_[0], x_[1] - at_[1], x_[2] - height_.f);
-    if (on_border() && square_ > kOnEdge * kOnEdge && from.dot(normal) > 0.0) return {from.norm(), from.normalized()};
-    return {normal.dot(from), normal};
+    if (!on_border() || square_ <= kOnEdge * kOnEdge) return {normal.dot(from), normal};
+    const double distance = field_->is_outside(x_) ? std::sqrt(square_) : -std::sqrt(square_);
+    return {distance, from / distance};
   }
 
   // Of the normal (-slope, 1) / length: along the surface it changes by -P (H dx, 0) / length, P across the normal.
@@ -198,6 +201,16 @@ HeightField::Vec2 HeightField::middle_of(int cell) const {
   return low_ + spacing_.cwiseProduct(Vec2(cell / cells_y_ + 0.5, cell % cells_y_ + 0.5));
 }
 
+HeightField::Vec2 HeightField::nearest_of(int cell, const Vec2& u) const {
+  const Vec2 middle = middle_of(cell);
+  return u.cwiseMax(middle - 0.5 * spacing_).cwiseMin(middle + 0.5 * spacing_);
+}
+
+bool HeightField::is_outside(const Vec3& point) const {
+  const Vec2 u = point.head<2>();
+  return held(u) != u || point[2] > at(u).f;
+}
+
 bool HeightField::holds(int cell, const Vec2& u) const {
   return ((u - middle_of(cell)).cwiseAbs().array() <= 0.5 * spacing_.array()).all();
 }
@@ -226,11 +239,12 @@ void HeightField::all_feet(const Vec3& point, double reach, std::vector<SurfaceF
   if (beside(point, feet[0])) return;
   std::vector<Search> found;
   double nearest = kInfinity;
+  const bool beyond = held(point.head<2>()) != point.head<2>();
   const auto limit = [&] { return std::max(nearest, reach); };
   const auto search = [&](const Vec2& start) {
     Search s(*this, point, start);
     if (s.at_saddle()) s = Search(*this, point, s.at() + kBeside * Vec2(spacing_[0], 0.5 * spacing_[1]));
-    if (!s.found()) return;
+    if (!s.found() || (beyond && !s.is_below())) return;
     const double distance = std::sqrt(s.square()), same = kSameFoot * distance + kSameFootLength;
     nearest = std::min(nearest, distance);
     for (const Search& other : found)
@@ -240,7 +254,10 @@ void HeightField::all_feet(const Vec3& point, double reach, std::vector<SurfaceF
   search(point.head<2>());
   tree_.near(point, limit(), [&](int cell) {
     const bool known = std::any_of(found.begin(), found.end(), [&](const Search& s) { return holds(cell, s.at()); });
-    if (!known && may_hold(cell, point)) search(middle_of(cell));
+    if (!known && may_hold(cell, point)) {
+      search(middle_of(cell));
+      if (beyond) search(nearest_of(cell, point.head<2>()));  // for feet on the border
+    }
     return limit();
   });
   std::sort(found.begin(), found.end(), [](const Search& a, const Search& b) { return a.square() < b.square(); });

@@ -47,6 +47,7 @@ class HeightField final : public FunctionSurface {
 
   void find(const Vec3* points, int count, double ball, SurfaceFoot* feet) const override;
   Vec2 held(const Vec2& u) const { return u.cwiseMax(low_).cwiseMin(high_); }
+  bool is_outside(const Vec3& point) const;
   // Whether the foot of a point is on a vertical side.
   bool beside(const Vec3& point, SurfaceFoot& foot) const;
   SurfaceFoot nearest_side(const Vec3& point) const;
@@ -54,6 +55,7 @@ class HeightField final : public FunctionSurface {
   // Whether a point may have a foot in a cell, by the ranges of height and slope there.
   bool may_hold(int cell, const Vec3& point) const;
   Vec2 middle_of(int cell) const;
+  Vec2 nearest_of(int cell, const Vec2& u) const;
   std::vector<BoxTree::Box> boxes() const;
   std::vector<Slopes> slopes() const;
 
