@@ -201,9 +201,22 @@ HeightField::Vec2 HeightField::middle_of(int cell) const {
   return low_ + spacing_.cwiseProduct(Vec2(cell / cells_y_ + 0.5, cell % cells_y_ + 0.5));
 }
 
-HeightField::Vec2 HeightField::nearest_of(int cell, const Vec2& u) const {
-  const Vec2 middle = middle_of(cell);
-  return u.cwiseMax(middle - 0.5 * spacing_).cwiseMin(middle + 0.5 * spacing_);
+// A cell on the border may hold feet on its sides there and in its corner, beside one within.
+std::vector<HeightField::Vec2> HeightField::border_starts(int cell, const Vec2& u) const {
+  const BoxTree::Box& box = boxes_[static_cast<std::size_t>(cell)];
+  const int place[2] = {cell / cells_y_, cell % cells_y_}, last[2] = {cells_x_ - 1, cells_y_ - 1};
+  const Vec2 nearest = u.cwiseMax(box.min().head<2>()).cwiseMin(box.max().head<2>());
+  std::vector<Vec2> starts{nearest};
+  for (int axis = 0; axis < 2; ++axis) {
+    const std::size_t before = starts.size();
+    for (std::size_t k = 0; k < before; ++k) {
+      Vec2 start = starts[k];
+      if (place[axis] == 0) starts.push_back((start[axis] = low_[axis], start));
+      if (place[axis] == last[axis]) starts.push_back((start[axis] = high_[axis], start));
+    }
+  }
+  starts.erase(starts.begin());
+  return starts;
 }
 
 bool HeightField::is_outside(const Vec3& point) const {
@@ -254,10 +267,9 @@ void HeightField::all_feet(const Vec3& point, double reach, std::vector<SurfaceF
   search(point.head<2>());
   tree_.near(point, limit(), [&](int cell) {
     const bool known = std::any_of(found.begin(), found.end(), [&](const Search& s) { return holds(cell, s.at()); });
-    if (!known && may_hold(cell, point)) {
-      search(middle_of(cell));
-      if (beyond) search(nearest_of(cell, point.head<2>()));  // for feet on the border
-    }
+    if (!may_hold(cell, point)) return limit();
+    if (!known) search(middle_of(cell));
+    for (const Vec2& start : border_starts(cell, point.head<2>())) search(start);
     return limit();
   });
   std::sort(found.begin(), found.end(), [](const Search& a, const Search& b) { return a.square() < b.square(); });

@@ -55,7 +55,8 @@ class HeightField final : public FunctionSurface {
   // Whether a point may have a foot in a cell, by the ranges of height and slope there.
   bool may_hold(int cell, const Vec3& point) const;
   Vec2 middle_of(int cell) const;
-  Vec2 nearest_of(int cell, const Vec2& u) const;
+  // Places in the cell from which feet on the border are searched for, near a place; none within the rectangle.
+  std::vector<Vec2> border_starts(int cell, const Vec2& u) const;
   std::vector<BoxTree::Box> boxes() const;
   std::vector<Slopes> slopes() const;
 

@@ -79,6 +79,26 @@ def test_a_sphere_rolls_over_a_plane_of_heights_as_over_a_plane(order: int) -> N
     assert [c.change for c in found.contact_changes] == [c.change for c in known.contact_changes]
 
 
+def test_gaps_around_the_block() -> None:
+    """Of places far beside it, above and below its edges, against the nearest of all places of the solid."""
+    heights = hills(rows=6, columns=7, high=0.3)
+    surface = spline(heights)
+    scene = scene_of(heights)
+    x, y = (np.linspace(-0.5 * length, 0.5 * length, 401) for length in SIZE)
+    top = surface(x, y)
+    rng = np.random.default_rng(4)
+    beside = 0
+    for point in rng.uniform([-4.0, -3.5, -1.0], [4.0, 3.5, 2.0], (1500, 3)):
+        over = np.maximum(0.0, point[2] - top)
+        known = float(np.sqrt(((x - point[0]) ** 2)[:, None] + (y - point[1]) ** 2 + over**2).min())
+        if known < 0.02:
+            continue  # in the block, or nearly
+        beside += bool((np.abs(point[:2]) > 0.5 * SIZE).any())
+        # The nearest place of the grid is off by less than its diagonal, 0.013 m, and so is the distance, from above.
+        assert known - 0.013 <= feet_of(scene, "ground", point)[0, 0] <= known + 1e-9
+    assert beside > 800
+
+
 def test_the_nearest_point_is_found_everywhere() -> None:
     """All feet within a reach, against a search from everywhere, also near and above the border."""
     heights = hills(high=0.3)
