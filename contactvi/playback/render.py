@@ -6,7 +6,6 @@ import importlib.resources
 import io
 import json
 import os
-import re
 import shutil
 import subprocess
 import tempfile
@@ -18,16 +17,16 @@ import numpy as np
 
 from contactvi.errors import ContactviError, InputError
 from contactvi.files import check_free, write_atomic
-from contactvi.inputs import count, entries, flag, positive, real, short
+from contactvi.inputs import flag, positive, real, short
 from contactvi.playback.browser import find_browser, pictures
 from contactvi.playback.page import Run, chosen_camera, make_html
+from contactvi.playback.picture_size import picture_size
 
 if TYPE_CHECKING:
     from PIL import Image
 
 FORMATS = (".gif", ".mp4", ".png")
 MAX_FRAMES = 5000
-MAX_SIDE = 4096  # [pixels]: twice that is the largest picture that a browser draws
 _COLORS = 255  # of a GIF
 _SAMPLES = 6  # pictures whose colours make the palette of a GIF
 _SIGNS = ((224, 67, 31), (30, 79, 191), (0, 114, 178), (230, 159, 0), (0, 158, 115))  # small, and not to be lost
@@ -68,7 +67,7 @@ def render(
     """
     file = check_free(path, overwrite)
     kind = _kind(file, at)
-    width, height = _size(size, kind)
+    width, height = picture_size(size, even=kind == ".mp4")
     fps, speed = positive("fps", fps, "frames per second"), positive("speed", speed, "simulated seconds per second")
     first, last = float(run.t[0]), float(run.t[-1])
     if kind == ".png":
@@ -132,29 +131,6 @@ def _kind(file: Path, at: float | None) -> str:
             got=f"at={at} for {kind}", remedy=remedy,
         )  # fmt: skip
     return kind
-
-
-def _size(size: Any, kind: str) -> tuple[int, int]:
-    """Return width and height in pixels."""
-    parts: Any = size
-    if isinstance(size, str):
-        found = re.fullmatch(r"\s*(\d{1,6})\s*[xX]\s*(\d{1,6})\s*", size)
-        parts = None if found is None else (int(found[1]), int(found[2]))
-    parts = entries(parts) or ()
-    if len(parts) != 2:
-        raise InputError(
-            "Size of a picture", name="size", expected='two numbers of pixels, or "800x600"', got=short(size),
-            remedy="Use size=(800, 600)",
-        )  # fmt: skip
-    width, height = (count("size", part) for part in parts)
-    even = kind != ".mp4" or width % 2 == height % 2 == 0
-    if max(width, height) > MAX_SIDE or min(width, height) < 16 or not even:
-        raise InputError(
-            "Size of a picture", name="size",
-            expected=f"{'even ' if not even else ''}numbers of pixels from 16 to {MAX_SIDE}",
-            got=f"{width}x{height}", remedy="Use size=(800, 600)",
-        )  # fmt: skip
-    return width, height
 
 
 def _times(first: float, last: float, start: Any, end: Any, fps: float, speed: float) -> np.ndarray:

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
-from contactvi.inputs import count, entries, short
 from contactvi.playback.animation import Frames, Poses
 from contactvi.playback.framing import View, fit
 from contactvi.playback.lathe import outline_mesh
 from contactvi.playback.lines import rotate
 from contactvi.playback.live_frames import BodyPoses
 from contactvi.playback.open_side import trees_of
+from contactvi.playback.picture_size import picture_size
 from contactvi.playback.shapes import color_of, creased
 from contactvi.playback.visuals import Visual, from_scene, thin_out
 from contactvi.scene.camera import Camera, camera_of
@@ -43,7 +43,6 @@ _SKY = np.array([238.0, 241.0, 245.0])
 _TILES = 8.0  # of a halfspace, across what is shown
 _AT_ONCE = 4_000_000  # pixels of boxes around triangles that are looked at together
 _PRESETS = {"front": (1.0, 0.0, 0.0), "side": (0.0, -1.0, 0.0), "top": (0.0, -1e-3, 1.0)}
-MAX_SIDE = 4096  # [pixels]
 
 
 class Sketch:
@@ -59,7 +58,7 @@ class Sketch:
     """
 
     def __init__(self, scene: Scene, q: Array, *, size: Any = (480, 360), camera: Any = None) -> None:
-        self.width, self.height = _checked(size)
+        self.width, self.height = picture_size(size)
         visuals = thin_out(from_scene(scene), MAX_TRIANGLES)
         self._planes = [(v, _rgb(color_of(v, k))) for k, v in enumerate(visuals) if v.shape == "halfspace"]
         self._lines = [v for v in visuals if v.shape == "line"]
@@ -291,19 +290,3 @@ def _joint_of(scene: Scene, camera: Camera) -> int | None:
 
 def _rgb(color: str) -> Array:
     return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)], float)
-
-
-def _checked(size: Any) -> tuple[int, int]:
-    parts = entries(size) or ()
-    if len(parts) != 2:
-        raise InputError(
-            "Size of a picture", name="size", expected="two numbers of pixels", got=short(size),
-            remedy="Use size=(480, 360)",
-        )  # fmt: skip
-    width, height = (count("size", part) for part in parts)
-    if max(width, height) > MAX_SIDE or min(width, height) < 16:
-        raise InputError(
-            "Size of a picture", name="size", expected=f"numbers of pixels from 16 to {MAX_SIDE}",
-            got=f"{width}x{height}", remedy="Use size=(480, 360)",
-        )  # fmt: skip
-    return width, height

@@ -268,9 +268,8 @@ class SceneShapes(ABC):
         to the world (free=False). The rest as in add_sphere.
         """
         solid = torus(ring, tube, flag("hollow", hollow))
-        return self._add_solid(
-            name, solid, solid.inertia(real("mass", mass, 0.0, open_low=True)), free, placement, color
-        )
+        inertia = solid.inertia(real("mass", mass, 0.0, open_low=True))
+        return self._add_solid(name, solid, inertia, free, placement, color)
 
     def add_superellipsoid(
         self,
@@ -289,9 +288,8 @@ class SceneShapes(ABC):
         From an ellipsoid (2) towards a box with round edges. What touches it, `hollow` and the rest as in add_torus.
         """
         solid = superellipsoid(radii, exponent, flag("hollow", hollow))
-        return self._add_solid(
-            name, solid, solid.inertia(real("mass", mass, 0.0, open_low=True)), free, placement, color
-        )
+        inertia = solid.inertia(real("mass", mass, 0.0, open_low=True))
+        return self._add_solid(name, solid, inertia, free, placement, color)
 
     def add_solid(
         self,
