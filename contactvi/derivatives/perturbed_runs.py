@@ -81,7 +81,7 @@ class PerturbedRuns:
 
     def kind(self, column: int) -> str:
         """Return what a column belongs to, one of the names that were asked for."""
-        return self._place(column)[0]
+        return self._asked(column)[0]
 
     def name(self, column: int) -> str:
         """Return the name of a column."""
@@ -131,9 +131,18 @@ class PerturbedRuns:
             compiled = self._with_coefficient(kind, by)
         return self._run(compiled, q, v, control)
 
-    def _place(self, column: int) -> tuple[str, int]:
+    def _asked(self, column: int) -> tuple[str, int]:
         parts = self._exact.columns.items()
         return next((kind, column - part.start) for kind, part in parts if part.start <= column < part.stop)
+
+    def _place(self, column: int) -> tuple[str, int]:
+        """Return what is changed along a column and its number in that; "control:joint" is part of "control"."""
+        kind, at = self._asked(column)
+        word, _, joint = kind.partition(":")
+        if word != "control" or not joint:
+            return kind, at
+        model = self._compiled.built.model
+        return word, int(model.idx_vs[model.getJointId(joint)]) + at
 
     def _coefficients(self, kind: str) -> list[tuple[tuple[str, str], float]]:
         """Return (pair or joint and limit, value) of the coefficients that a column of this name changes."""

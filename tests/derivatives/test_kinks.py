@@ -68,6 +68,14 @@ def test_pushing_begins(order: int) -> None:
         run.sensitivity("control:bowl")
 
 
+def test_forces_of_one_joint_are_checked_as_such() -> None:
+    """Differences of the forces of a ball are those of its own columns."""
+    scene, q, v = table()
+    found = cvi.check_gradient(scene, q, v, 0.1, 0.01, order=4, wrt=["control:ball"])
+    assert found.ok
+    assert [column.name.split()[1][:4] for column in found.columns] == ["ball"] * 6
+
+
 def test_without_a_kink_nothing_is_noted() -> None:
     scene, q, v = table()
     run = cvi.simulate(scene, q, v, duration=0.1, dt=0.01, order=4, record="gradient")
