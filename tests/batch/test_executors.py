@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import pickle
 import sys
+import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
 
@@ -174,8 +175,24 @@ def with_process(call: Any, *args: Any, **named: Any) -> tuple[int, Any]:
     return os.getpid(), call(*args, **named)
 
 
+def process_after(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def await_two_workers(executor: Any) -> None:
+    """Returns when two processes answer side by side: an executor starts them when it likes."""
+    for k in range(60):
+        # Of other lengths each time, because Dask makes equal calls once.
+        calls = [executor.submit(process_after, 0.5 + 1e-3 * i) for i in (2 * k, 2 * k + 1)]
+        if len({call.result() for call in calls}) == 2:
+            return
+    raise AssertionError("one process made all calls for half a minute")
+
+
 def check_two_workers(executor: Any, tmp_path: Any) -> None:
     """Both workers make chunks, with the bits of this process, into a file as into memory."""
+    await_two_workers(executor)
     scene, q, v = at_wall()
     qs = starts(q, 200) % 0.3
     settings = {"dt": 1e-3, "duration": 1.0}

@@ -195,7 +195,7 @@ def test_the_example_of_a_job_array_runs_as_one(tmp_path):
     program = [sys.executable, str(ROOT / "examples" / "slurm_array.py")]
 
     def task(*arguments: str, **variables: str) -> str:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+        environment = {**os.environ, "PYTHONPATH": str(Path(cvi.__file__).parents[1]), **variables}
         done = subprocess.run(
             [*program, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
         )
