@@ -18,6 +18,7 @@ from derivatives.test_constrained_steps import SCENES as STEPS
 from derivatives.test_constraint_sensitivity import DROPS, SMOOTH, TOUCHING
 from helpers import constrained_scenes as scenes
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
+from helpers.thinning import every
 
 BAR = 1e-7
 DENSE = {"contact_mode": "steps", "solver_tol": 1e-15}
@@ -72,7 +73,7 @@ def wrt_of(scene: cvi.Scene) -> list[str]:
 
 
 @pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning")
-@pytest.mark.parametrize("name", SMOOTH)
+@pytest.mark.parametrize("name", every(2, SMOOTH))
 def test_constraints_alone(name):
     options = {"duration": 0.05 if "joint friction" in name else 0.1, "dt": 0.01}
     traj, start = recorded(SMOOTH[name](), **options)
@@ -83,7 +84,7 @@ def test_constraints_alone(name):
 
 
 @pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning", "ignore::contactvi.ApproximateDerivativeWarning")
-@pytest.mark.parametrize("name", LANDINGS)
+@pytest.mark.parametrize("name", every(3, LANDINGS))
 def test_runs_with_contacts(name):
     start, duration, dt = LANDINGS[name]
     traj, start = recorded(start(), duration, dt)

@@ -11,6 +11,7 @@ import pytest
 import contactvi as cvi
 from derivatives.differences import transpose_error
 from derivatives.test_persistent_sensitivity import Start, check
+from helpers.thinning import every
 from helpers.wavy_ground import bend, slope, waves
 
 MOVING = [1.0, 0.3, -0.1, 0.5, 0.2, 0.3]
@@ -58,7 +59,7 @@ RUNS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", every(3, RUNS))
 def test_runs_on_surfaces(name: str) -> None:
     """Tangent against differences, and the adjoint against the tangent."""
     make, duration, options = RUNS[name]

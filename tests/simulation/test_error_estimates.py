@@ -36,11 +36,13 @@ def test_a_slip_that_has_just_begun_has_the_direction_of_its_law(estimates, fami
     assert States(motion.scene.model).distance(*ends)[0] < 1e-9
 
 
-@pytest.mark.slow
-def test_estimates_of_a_motion_of_each_family(estimates):
-    rows = [estimates.measure(family, SEED) for family in estimates.estimate_scenes.FAMILIES]
+@pytest.mark.parametrize(
+    "third", [pytest.param(k, marks=pytest.mark.slow if k == 0 else pytest.mark.long) for k in range(3)]
+)
+def test_estimates_of_a_motion_of_each_family(estimates, third):
+    rows = [estimates.measure(family, SEED) for family in list(estimates.estimate_scenes.FAMILIES)[third::3]]
     told = [row for row in rows if row.told]
-    assert len(told) >= 16, rows  # the others multiply errors
+    assert len(told) >= len(rows) / 2, rows  # the others multiply errors
     # Below a third of the true error, without a warning.
     assert not [row for row in rows if row.fault]
     assert not [row for row in told if row.error > row.tol and not row.warned]
