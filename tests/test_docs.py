@@ -6,6 +6,7 @@ the pages, and of what is included in them, lead to files and headings that exis
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 
@@ -81,6 +82,14 @@ def test_links_lead_somewhere(page):
 def test_a_page_of_the_guide_is_read_in_ten_minutes(page):
     """180 words a minute, code and tables included."""
     assert len(page.read_text().split()) <= 1800
+
+
+def test_the_index_of_examples_names_every_file():
+    """With the first sentence of each, as the file has it."""
+    page = (ROOT / "docs" / "examples.md").read_text()
+    for file in (ROOT / "examples").rglob("*.py"):
+        says = (ast.get_docstring(ast.parse(file.read_text())) or "").split("\n\n")[0].replace("\n", " ")
+        assert f"| `{file.relative_to(ROOT)}` | {says}" in page
 
 
 def test_contributing_is_two_pages():
