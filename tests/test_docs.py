@@ -92,6 +92,21 @@ def test_the_index_of_examples_names_every_file():
         assert f"| `{file.relative_to(ROOT)}` | {says}" in page
 
 
+def test_the_reference_names_each_object_and_each_page_once():
+    folder = ROOT / "docs" / "api"
+    named = []
+    for page in folder.glob("*.md"):
+        module = ""
+        for directive, name in re.findall(r"^\.\. (currentmodule|auto\w+):: (\S+)", page.read_text(), re.MULTILINE):
+            if directive == "currentmodule":
+                module = name
+            else:
+                named.append(name if name.startswith("contactvi.") else f"{module}.{name}")
+    assert len(named) == len(set(named))
+    listed = re.findall(r"^\| \[[^\]]*\]\((\w+\.md)\)", (folder / "index.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(page.name for page in folder.glob("*.md") if page.name != "index.md")
+
+
 def test_contributing_is_two_pages():
     assert len((ROOT / "CONTRIBUTING.md").read_text().split()) <= 900
 
