@@ -20,10 +20,12 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 SLOW = ("cart_optimization", "hand_throw", "hand_roll", "hand_mppi", "puppet_optimization")
 # Pages whose code is run.
-PAGES = (
-    "README.md", "docs/guide.md", "docs/optimal_control.md", "docs/coming_from_trep.md", "docs/coming_from_mujoco.md",
-    "docs/coming_from_pinocchio.md", "docs/extending.md",
-)  # fmt: skip
+PAGES = [
+    "README.md",
+    *(str(page.relative_to(ROOT)) for page in sorted((ROOT / "docs" / "guide").glob("*.md"))),
+    *(f"docs/{name}.md" for name in ("optimal_control", "extending")),
+    *(f"docs/coming_from_{name}.md" for name in ("drake", "mujoco", "pinocchio", "trep")),
+]
 NEEDS = {"identify_torch": "torch"}  # examples and the packages that they need, which the test extra does not bring
 
 pytestmark = pytest.mark.skipif(not EXAMPLES, reason="the tests were copied without the examples")
@@ -160,6 +162,36 @@ print(*traj.contacts.on(ball)[1][-1])
     assert first.split() == ["link_11.0_0", "link_7.0_0", "palm_link_0"]
     assert all(shape in pairs for shape in first.split())
     assert abs(float(on_ball.split()[2]) - 0.1 * 9.81) < 1e-3
+
+
+def test_guide_code_of_starts_runs(tmp_path):
+    """The ball comes out of the ground by the least, which is straight up; nothing overlaps afterwards."""
+    more = "print(q0[scene.q_index(ball)][2], *(apart.q - q0)[scene.q_index(ball)][:3])\n"
+    moved, gap, ball = run_marked("starts", tmp_path, more)
+    assert "moved 'ball' by 5 mm" in moved
+    assert float(gap) >= -1e-9  # what a run promises
+    low, x, y, up = map(float, ball.split())
+    assert low == 0.045
+    assert max(abs(x), abs(y)) < 1e-9
+    assert abs(up - 0.005) < 1e-9
+
+
+def test_guide_code_of_a_control_loop_runs(tmp_path):
+    """The servo comes to where its torque is gravity's: kp (target - angle) = m g l sin(angle).
+
+    The bar has 2/3 kg m^2 about its hinge and 5.4 N m s of damping: it swings out as exp(-4.05 t), 1e-14 in 8 s.
+    """
+    more = """
+import pinocchio as pin
+for _ in range(8000):
+    sim.step(target=[0.5])
+import numpy as np
+torque = 50.0 * (0.5 - np.arctan2(*encoder.read().q[::-1]))
+print(torque - pin.computeGeneralizedGravity(scene.model, scene.model.createData(), sim.q)[0])
+"""
+    *_, start, unbalanced = run_marked("control-loop", tmp_path, more)
+    assert float(start) == 0.0
+    assert abs(float(unbalanced)) < 1e-10
 
 
 def test_guide_code_of_a_batch_runs(tmp_path):

@@ -29,7 +29,8 @@ def hessian_vector(
 
     On configurations with turns H is the second derivative of d -> J(q0 (+) d, v0 + dv, control + du) at d = 0, (+)
     being Pinocchio's `integrate`: it is symmetric, the matrix that a Newton step in q0 (+) d needs, and its product is
-    not the change of the numbers of the gradient along w, from which it differs by half of a bracket (docs/theory.md).
+    not the change of the numbers of the gradient along w, from which it differs by half of a bracket
+    (docs/theory/run_derivatives.md).
 
     Args:
         traj: a run with record="gradient".

@@ -1,8 +1,8 @@
 """The linear systems that belong to a scene at a state: of one step, and of the equations of motion.
 
 Columns and rows are Pinocchio's: tangent vectors at q (of a free body: linear and angular, body frame) and velocities.
-The derivative of a step is that of the discrete map itself, exact to rounding, not the flow's (docs/theory.md); it
-converges to the continuous one with the order of the step.
+The derivative of a step is that of the discrete map itself, exact to rounding, not the flow's
+(docs/theory/step_derivatives.md); it converges to the continuous one with the order of the step.
 """
 
 from __future__ import annotations

@@ -75,8 +75,9 @@ class Event:
             and for a fallback where the rest of the step was not solved.
         before, after: lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
             rest of the step after it.
-        q: configuration at the impact, shape (nq,). Bodies that are in another island at that time (docs/theory.md)
-            have no state of their own there: theirs lies between those at the ends of the step.
+        q: configuration at the impact, shape (nq,). Bodies that are in another island at that time
+            (docs/theory/accuracy.md) have no state of their own there: theirs lies between those at
+            the ends of the step.
         p_minus, p_plus: momentum before and after, shape (nv,).
         impulse_vector: on the second shape, friction included [N s], world frame, shape (3,); zero for a limit.
         points: how many points of the pair took part.

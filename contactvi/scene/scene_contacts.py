@@ -54,7 +54,8 @@ class SceneContacts:
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
         an MJCF says (or a URDF, with add_urdf(contact_friction=True)), else the default. Warns (UnusedSettingWarning)
         of a default that the files of the scene leave to no pair: set_contact(part, restitution=...) replaces theirs;
-        and where none of the pairs between a and b is tested. Laws (docs/theory.md) count in the same order.
+        and where none of the pairs between a and b is tested. Laws (docs/guide/contact_laws.md) count in the
+        same order.
 
         Args:
             a, b: of the contacts that are meant.

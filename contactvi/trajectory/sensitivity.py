@@ -2,7 +2,8 @@
 parameters change.
 
 The derivative is that of what was computed: partial steps to the events, impact maps, and the rest of the steps
-(docs/theory.md). Rows are those of (q, v) in Pinocchio's coordinates: tangent vectors at q, then velocities.
+(docs/theory/run_derivatives.md). Rows are those of (q, v) in Pinocchio's coordinates: tangent vectors at q, then
+velocities.
 """
 
 from __future__ import annotations

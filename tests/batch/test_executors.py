@@ -141,7 +141,7 @@ def test_dask_goes_on_when_a_worker_is_killed():
 
 
 class RayExecutor(Executor):
-    """As in docs/guide.md."""
+    """As in docs/guide/batches.md."""
 
     def __init__(self, ray: Any) -> None:
         self._ray = ray

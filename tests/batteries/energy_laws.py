@@ -90,7 +90,7 @@ def energy_laws(traj: cvi.Trajectory, dt: float) -> Iterator[Finding]:
         return
     allowed, energy = allowed_rises(traj, dt), traj.energy
     yield from worst("energy rises in a step", np.diff(energy), allowed, traj.t[:-1])
-    if traj.events.method != "dtec":  # its energy drifts by the errors of its steps (docs/theory.md)
+    if traj.events.method != "dtec":  # its energy drifts by the errors of its steps (docs/theory/impacts.md)
         # the errors of the steps add up to an oscillation of (h Omega)^2 of the energy, without the quarter
         rise = (energy - np.minimum.accumulate(energy))[1:]
         yield from worst("energy rises", rise, 4.0 * np.maximum.accumulate(allowed), traj.t[1:])

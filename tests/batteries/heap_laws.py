@@ -7,7 +7,7 @@ results: gaps are coal's and closed forms, energies those of rigid bodies.
 The energy error of a midpoint step of a motion that turns at a rate w is at most (h w)^2 / 12 of its kinetic energy
 (batteries.energy_laws); 3 / 12 are allowed, body by body. The rate is that at which the body turns, and sqrt(g / r) of
 gravity, r its least half size; of a cylinder also that at which a contact runs around its rim. The forces of persistent
-contacts, which change the velocity by dv in the step, err by dv.M dv / 12 (docs/theory.md, the energy of contacts). An
+contacts, which change the velocity by dv in the step, err by dv.M dv / 12 (docs/theory/contact_problems.md). An
 impact and a dense step may not gain anything. Where a body is moved out of an overlap within the tolerance of gaps, it
 is lifted by that.
 """

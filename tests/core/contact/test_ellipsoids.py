@@ -17,7 +17,7 @@ BASES = {
     "ellipsoid": (lambda: coal.Ellipsoid(0.5, 0.6, 0.1), 0.1),
 }
 HALF = (0.05, 0.08, 0.06)
-CLOSED = 1e-10  # [m] overlap of persistent contacts (docs/guide.md)
+CLOSED = 1e-10  # [m] overlap of persistent contacts (docs/guide/contact.md)
 
 
 def dropped(base: str, friction: float, seed: int) -> tuple[cvi.Scene, np.ndarray, np.ndarray]:
