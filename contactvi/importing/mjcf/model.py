@@ -171,7 +171,7 @@ def _collision(
             for shape in shapes.of(geom):
                 made = _geometry(source, tree, geom, shape)
                 if (surface := _surface(source, shape.mesh)) is not None:
-                    hulls.take_surface(made, *surface)
+                    hulls.take_surface(made, *surface, title=source.given["mesh"][shape.mesh])
                 index[geom].append(model.addGeometryObject(made))
     return model, index
 
