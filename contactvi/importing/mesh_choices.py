@@ -139,11 +139,12 @@ def _put_pieces(part: Part, number: int, pieces: list[coal.Convex]) -> list[str]
 
 def _expand(data: FileData, old: str, names: list[str]) -> None:
     """Give what a file says of a geometry to each of its pieces."""
-    for table in (data.contact, data.turning, data.adhesion):
+    tables: tuple[dict[Any, Any], ...] = (data.contact, data.turning, data.adhesion)
+    for table in tables:
         for key in [key for key in table if old in key]:
-            value = table.pop(key)  # type: ignore[arg-type]
+            value = table.pop(key)
             for name in names:
-                table[tuple(name if part == old else part for part in key)] = value  # type: ignore[index]
+                table[tuple(name if part == old else part for part in key)] = value
     if old in data.surface_velocities:
         velocity = data.surface_velocities.pop(old)
         data.surface_velocities |= dict.fromkeys(names, velocity)

@@ -80,7 +80,8 @@ def _on_mesh(vertices: Array, faces: Faces) -> Array:
 
 
 def _signed(points: Array, hulls: Sequence[tuple[Array, Faces]]) -> Array:
-    return np.min([_distance(*hull, points) for hull in hulls], axis=0)
+    least: Array = np.min([_distance(*hull, points) for hull in hulls], axis=0)
+    return least
 
 
 def _distance(vertices: Array, faces: Faces, points: Array) -> Array:
