@@ -72,6 +72,7 @@ CPP_FOLDERS: Folders = {
 USERS_OF_THE_ENGINE = {
     "importing.engine_model",
     "importing.hulls",
+    "importing.mesh_distance",
     "importing.mesh_solids",
     "scene.engine",
     "scene.build",

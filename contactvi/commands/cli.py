@@ -48,6 +48,14 @@ Allow = Annotated[
     list[str] | None,
     typer.Option(help="Take elements of an MJCF that are refused otherwise: flex, without elasticity; repeatable."),
 ]
+Shape = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="[NAME=]SHAPE",
+        help="What its meshes become: hull, pieces or field; of a geometry or file alone by NAME=; repeatable.",
+    ),
+]
+Spacing = Annotated[float | None, typer.Option(help="Of the samples of fields in metres; by default 1/40 of a mesh.")]
 Configuration = Annotated[
     str | None, typer.Option(help="Start of a model: the name of a keyframe of the MJCF or of a state of the SRDF.")
 ]
@@ -172,6 +180,8 @@ def run(
     package_dir: PackageDir = None,
     srdf: Srdf = None,
     allow: Allow = None,
+    shape: Shape = None,
+    spacing: Spacing = None,
     save_scene: Annotated[
         Path | None, typer.Option(metavar="SCENE.toml", help="Write the scene file that says what a run assumes.")
     ] = None,
@@ -198,7 +208,7 @@ def run(
     }  # fmt: skip
     given = {
         "base": base, "configuration": configuration, "height": height, "package_dirs": package_dir, "srdf": srdf,
-        "allow": allow,
+        "allow": allow, "shape": shape, "spacing": spacing,
     }  # fmt: skip
     with phases.of("build"):
         scene = scene_to_run(scene_file, given, save_scene, chosen, force)
@@ -352,11 +362,14 @@ def check(
     base: Base = None,
     srdf: Srdf = None,
     allow: Allow = None,
+    shape: Shape = None,
+    spacing: Spacing = None,
 ) -> None:
     """Print which data of a model are used, changed, ignored or refused, and what `contactvi run` assumes of it."""
     from contactvi.commands.models import choice_of, is_model, model_scene, print_assumed, read_scene
 
-    choice = choice_of({"base": base, "package_dirs": package_dir, "srdf": srdf, "allow": allow})
+    given = {"base": base, "package_dirs": package_dir, "srdf": srdf, "allow": allow}
+    choice = choice_of({**given, "shape": shape, "spacing": spacing})
     try:
         scene = read_scene(model, choice)
     except SceneError as error:

@@ -46,6 +46,7 @@ class Choice(NamedTuple):
         allow: kinds of elements of an MJCF that are refused otherwise.
         configuration: name of the start in the model's files. height: of a drop [m]; HEIGHT, or
             where the file has surroundings none.
+        shape: of meshes, "hull", "pieces" or "field" for all, or NAME=SHAPE. spacing: of fields [m].
     """
 
     base: str | None = None
@@ -54,6 +55,15 @@ class Choice(NamedTuple):
     configuration: str | None = None
     height: float | None = None
     allow: Sequence[str] = ()
+    shape: Sequence[str] = ()
+    spacing: float | None = None
+
+    def meshes(self) -> dict[str, Any]:
+        """Return `shape` and `spacing` as Scene.add_urdf takes them, where they are given."""
+        pairs = [entry.rpartition("=")[::2] for entry in self.shape]
+        shape = pairs[0][1] if len(pairs) == 1 and not pairs[0][0] else {name or "*": kind for name, kind in pairs}
+        found = {"shape": shape or None, "spacing": self.spacing}
+        return {name: value for name, value in found.items() if value is not None}
 
 
 @dataclass
@@ -187,8 +197,8 @@ def _read_model(path: str, choice: Choice) -> ModelScene:
         )  # fmt: skip
     base, why = _base(path, choice)
     scene = Scene()
-    scene.add_urdf(path, base=base, package_dirs=choice.package_dirs, srdf=choice.srdf)
-    keys: dict[str, Any] = {"path": path, "base": base}
+    scene.add_urdf(path, base=base, package_dirs=choice.package_dirs, srdf=choice.srdf, **choice.meshes())
+    keys: dict[str, Any] = {"path": path, "base": base, **choice.meshes()}
     if choice.package_dirs:
         keys["package_dirs"] = list(choice.package_dirs)
     if choice.srdf is not None:
@@ -203,8 +213,8 @@ def _read_mjcf(path: str, choice: Choice) -> ModelScene:
                 f"{name} is of URDF files", name=name.removeprefix("--"), expected="a URDF with it", got="an MJCF",
                 remedy="Leave it out: an MJCF says which of its bodies are free, and has keyframes",
             )  # fmt: skip
-    scene = Scene.from_mjcf(path, allow=choice.allow)
-    keys: dict[str, Any] = {"path": path}
+    scene = Scene.from_mjcf(path, allow=choice.allow, **choice.meshes())
+    keys: dict[str, Any] = {"path": path, **choice.meshes()}
     if choice.allow:
         keys["allow"] = list(choice.allow)
     tables: list[tuple[str, dict[str, Any]]] = [("[[mjcf]]", keys)]

@@ -45,13 +45,19 @@ def along_all(values: Array) -> Array:
     return np.ascontiguousarray(values)
 
 
+def weights(t: Array) -> tuple[Array, Array]:
+    """Return the four B-splines of a cell, and their first derivatives, at places t (n,) in it, 0..1: (n, 4) each."""
+    s = 1.0 - t
+    value = np.stack([s**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * s**2 + 3.0 * s**3, t**3], axis=1) / 6.0
+    first = np.stack([-(s**2), 3.0 * t**2 - 4.0 * t, 4.0 * s - 3.0 * s**2, t**2], axis=1) / 2.0
+    return value, first
+
+
 def basis(n: int, parts: int) -> Array:
     """Return the n + 2 B-splines at all n places and `parts - 1` between two: ((n - 1) parts + 1, n + 2)."""
     count = (n - 1) * parts + 1
     cell = np.minimum(np.arange(count) // parts, n - 2)
     t = np.arange(count) / parts - cell
-    s = 1.0 - t
-    weights = np.stack([s**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * s**2 + 3.0 * s**3, t**3], axis=1) / 6.0
     rows = np.zeros((count, n + 2))
-    np.put_along_axis(rows, cell[:, None] + np.arange(4), weights, axis=1)
+    np.put_along_axis(rows, cell[:, None] + np.arange(4), weights(t)[0], axis=1)
     return rows

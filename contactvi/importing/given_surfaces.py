@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
+import coal
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,7 +60,9 @@ def with_surface(part: Part, name: str, surface: GivenSurface) -> Part:
 
     def load() -> list[Picture]:
         return [
-            Picture(picture.geometry, surface.grid(name)) if picture.geometry.name == name else picture
+            Picture(picture.geometry, surface.grid(name))
+            if picture.geometry.name == name and isinstance(picture.geometry.geometry, coal.Halfspace)
+            else picture
             for picture in before()
         ]
 

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi import cache
 from contactvi.errors import InputError, SceneError
 from contactvi.importing.hulls import crowded_text, faces_of, hull_of_points
 from contactvi.importing.mesh_hulls import MeshFile, MeshHulls
@@ -167,7 +168,10 @@ def _checked(file: MeshFile, read: Any) -> None:
 
 
 def _pieces(vertices: Array, faces: NDArray[np.int64], concavity: float) -> list[Array]:
-    """Return the vertices of the pieces of a closed surface."""
+    """Return the vertices of the pieces of a closed surface, from the cache on disk where they are there."""
+    key = cache.key("pieces of a mesh", vertices.tobytes(), faces.tobytes(), concavity)
+    if found := cache.find(key):
+        return [np.array(points, dtype=float) for points in found]
     try:
         import coacd
     except ImportError:
@@ -177,7 +181,9 @@ def _pieces(vertices: Array, faces: NDArray[np.int64], concavity: float) -> list
         ) from None  # fmt: skip
     coacd.set_log_level("error")
     made = coacd.run_coacd(coacd.Mesh(vertices, faces.astype(np.int32)), threshold=concavity, seed=0)
-    return [np.array(points, dtype=float) for points, _ in made]
+    pieces = [np.array(points, dtype=float) for points, _ in made]
+    cache.keep(key, pieces)
+    return pieces
 
 
 def _scale(name: str, scale: Any) -> Array:

@@ -21,7 +21,7 @@ from contactvi.importing.hulls import check_shape, crowded_text, faces_by_engine
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
 from contactvi.importing.paths import mesh_error
 from contactvi.importing.report import PartReport, number
-from contactvi.importing.submeshes import Array, volume_inside, volume_of
+from contactvi.importing.submeshes import Array, surface_of, volume_inside, volume_of
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -106,6 +106,13 @@ class _Started(NamedTuple):
         return hull
 
 
+class GivenMesh(NamedTuple):
+    """A mesh of a model: its name, or that of its file, and what returns its vertices (n, 3) and triangles (m, 3)."""
+
+    name: str
+    load: Callable[[], tuple[NDArray[Any], NDArray[Any]]]
+
+
 class MeshHulls:
     """The hulls of the meshes of one model.
 
@@ -113,6 +120,7 @@ class MeshHulls:
     """
 
     def __init__(self) -> None:
+        self._given: dict[str, GivenMesh] = {}  # of geometries, by their names
         self._sources: dict[str, MeshFile | str] = {}  # of geometries, by their names
         self._keys: dict[MeshFile, str | None] = {}
         self._hulls: dict[MeshFile | str, MeshHull] = {}
@@ -137,12 +145,21 @@ class MeshHulls:
                 mesh = self._meshes[file] = file.read_for(geometry.name)
                 name = f"{geometry.name} ({Path(file.path).name})"
                 self._start(file, key, mesh.vertices(), name, lambda: volume_of(mesh, file.path, np.array(file.scale)))
-        self._sources[geometry.name] = file
+        self._sources[geometry.name], name = file, geometry.name
+        self._given[name] = GivenMesh(
+            Path(file.path).name, lambda: surface_of(file.read_for(name), file.path, np.array(file.scale))
+        )
         geometry.geometry = self._hulls[file].shape if file in self._hulls else self._meshes[file]
         geometry.meshPath, geometry.meshScale = file.path, np.array(file.scale)
 
-    def take_surface(self, geometry: pin.GeometryObject, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
-        """Let a geometry have the hull of vertices (n, 3) [m] and triangles (m, 3), made as those of files are."""
+    def take_surface(
+        self, geometry: pin.GeometryObject, vertices: NDArray[Any], faces: NDArray[Any], title: str = ""
+    ) -> None:
+        """Let a geometry have the hull of vertices (n, 3) [m] and triangles (m, 3), made as those of files are.
+
+        title: name of the mesh.
+        """
+        self._given[geometry.name] = GivenMesh(title, lambda: (vertices, faces))
         points = np.ascontiguousarray(vertices, dtype=float)
         volume = volume_inside(points, faces)
         key = self._sources[geometry.name] = cache.key("hull of a mesh", points.tobytes(), volume)
@@ -153,6 +170,14 @@ class MeshHulls:
             self._hulls[key] = hull
         else:
             self._start(key, key, points, geometry.name, lambda: volume)
+
+    def mesh_of(self, name: str) -> GivenMesh | None:
+        """Return the mesh of a geometry by its name; None for another shape."""
+        return self._given.get(name)
+
+    def drop(self, name: str) -> None:
+        """Let a geometry have no hull: another shape has taken its place."""
+        del self._sources[name], self._given[name]
 
     def of(self, geometry: pin.GeometryObject) -> MeshHull | None:
         """Return the hull of a geometry with a mesh; None for another shape.

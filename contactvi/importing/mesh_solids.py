@@ -62,7 +62,7 @@ def closed(name: str, vertices: Array, faces: NDArray[np.int64]) -> tuple[Array,
         raise SceneError(
             f"The mesh of {name!r} is not closed", body=name, expected="each edge between two triangles, turned alike",
             got=f"{odd} edges without" if len(there) else "no triangles",
-            remedy="Repair it, for example in MeshLab, or leave spacing out: the hull needs no closed mesh",
+            remedy="Repair it, for example in MeshLab, or leave spacing or shape out: the hull needs no closed mesh",
         )  # fmt: skip
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     outward = np.einsum("ij,ij->", a, np.cross(b, c)) > 0.0

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from contactvi.errors import InputError, SceneError
 from contactvi.importing.checks import check_lengths
+from contactvi.importing.mesh_choices import mesh_choice
 from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.part import Part, copy_geometry
 from contactvi.importing.pictures import pictures_of
@@ -63,7 +64,7 @@ def import_pinocchio(
             load_pictures=lambda: pictures_of(visual),
             given_pairs=given or None,
         )
-        finish(part, title, MeshHulls())
+        part = finish(part, title, MeshHulls(), mesh_choice(None, None))
     return part
 
 

@@ -11,6 +11,7 @@ from contactvi.errors import SceneError
 from contactvi.importing.checks import check_joints, check_numbers, check_size, describe_model
 from contactvi.importing.hulls import describe
 from contactvi.importing.joint_kinds import has_limits
+from contactvi.importing.mesh_choices import MeshChoice, take_meshes
 from contactvi.importing.mesh_hulls import MeshHulls, prepare_geometry
 from contactvi.importing.part import Part
 from contactvi.importing.report import GeometryRow, PartReport
@@ -35,13 +36,14 @@ class reported:
                 error.path = str(self.file)
 
 
-def finish(part: Part, source: str, hulls: MeshHulls) -> None:
-    """Check the model, replace its meshes by hulls and fill the report."""
+def finish(part: Part, source: str, hulls: MeshHulls, choice: MeshChoice) -> Part:
+    """Check the model, replace its meshes by hulls or what is chosen, fill the report, and return the part."""
     model, report = part.model, part.report
     check_size(model, source)
     check_joints(model, report, source)
     check_numbers(model, source)
     describe_model(model, report, part.start, part.prefix, part.mimics, part.data.elements)
+    part, texts = take_meshes(part, hulls, choice)
     for geometry in part.collision.geometryObjects:
         frame = geometry.parentFrame
         body = part.prefix + model.frames[frame].name if frame else "universe"
@@ -52,10 +54,13 @@ def finish(part: Part, source: str, hulls: MeshHulls) -> None:
             error.path = error.path or geometry.meshPath or None
             report.geometries.append(GeometryRow(part.prefix + geometry.name, body, kind, "refused"))
             raise
-        shape = describe(geometry.geometry)
+        surface = part.surfaces.get(geometry.name)
+        shape = describe(geometry.geometry) if surface is None else surface.kind.capitalize()
+        done = "; ".join(filter(None, (done, texts.get(geometry.name))))
         report.geometries.append(GeometryRow(part.prefix + geometry.name, body, shape, done))
     for entry in model.referenceConfigurations:
         part.data.configurations[entry.key()] = np.array(entry.data()), np.zeros(model.nv)
+    return part
 
 
 def neutral(model: pin.Model) -> np.ndarray:

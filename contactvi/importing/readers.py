@@ -20,6 +20,7 @@ from contactvi.errors import ContactviError, InputError, SceneError, did_you_mea
 from contactvi.files import checked_path
 from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.joint_kinds import ONE_DOF, joint_kind
+from contactvi.importing.mesh_choices import mesh_choice
 from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.meshes import collision_geometry, pictures_of_urdf, without_shapes
 from contactvi.importing.mjcf.compiler import open_source
@@ -49,6 +50,8 @@ def import_urdf(
     mimic: Any = True,
     armature: Any = None,
     contact_friction: Any = False,
+    shape: Any = None,
+    spacing: Any = None,
 ) -> Part:
     """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
 
@@ -64,7 +67,7 @@ def import_urdf(
             remedy="Use base='free' for a robot that can move away, base='fixed' for one that is bolted down",
         )
     mimic, prefix = flag("mimic", mimic), words("prefix", prefix)
-    contact_friction = flag("contact_friction", contact_friction)
+    contact_friction, choice = flag("contact_friction", contact_friction), mesh_choice(shape, spacing)
     for entry in listed("package_dirs", package_dirs, "folders"):
         checked_path(entry, "package_dirs")
     file = resolve_path(path, folder, package_dirs)
@@ -95,8 +98,8 @@ def import_urdf(
             mimics=urdf.mimics,
         )
         part.data.elements += mimic_constraints(part, urdf.mimics, mimic)
-        finish(part, file.name, hulls)
         part.data.contact.update({(name,): (value, None) for name, value in urdf.friction.items()})
+        part = finish(part, file.name, hulls, choice)
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     add_group_states(part, found.states)
@@ -150,6 +153,8 @@ def import_mjcf(
     allow: Any = (),
     turning_friction: Any = False,
     hfield: Any = "prisms",
+    shape: Any = None,
+    spacing: Any = None,
 ) -> Part:
     """Return the part of an MJCF; arguments as in Scene.add_mjcf, gravity [m/s^2] is the scene's.
 
@@ -157,7 +162,7 @@ def import_mjcf(
     """
     if not (restitution is None or restitution == SOLREF):
         restitution = real("restitution", restitution, 0.0, 1.0)
-    prefix, kinds = words("prefix", prefix), _allowed(allow)
+    prefix, kinds, choice = words("prefix", prefix), _allowed(allow), mesh_choice(shape, spacing)
     check_choice("hfield", hfield, HFIELDS, "way to take height fields")
     report, hulls = opened.source.report, MeshHulls()
     with reported(report, opened.path):
@@ -178,7 +183,7 @@ def import_mjcf(
         )
         report.prefix_names(prefix)
         report.title = f"{part.name}: MJCF {opened.path}"
-        finish(part, opened.path.name, hulls)
+        part = finish(part, opened.path.name, hulls, choice)
     return part
 
 

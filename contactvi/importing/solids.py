@@ -196,14 +196,18 @@ class SampledSolid(Solid):
         """Return the middles of cells (n, 3) [m]."""
         return self.box[:, 0] + (cells + 0.5) * (self.box[:, 1] - self.box[:, 0]) / self.cells
 
-    def at_middles(self, cells: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Return the values (n,) and gradients (n, 3) of the spline in the middles of cells (n, 3)."""
-        value, first = np.array([1.0, 23.0, 23.0, 1.0]) / 48.0, np.array([-1.0, -5.0, 5.0, 1.0]) / 8.0
-        i, j, k = (cells[:, axis, None] + np.arange(4) for axis in range(3))
-        own = self.coefficients[i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]]
-        along = [np.einsum("nijk,i,j,k->n", own, *(first if a == b else value for b in range(3))) for a in range(3)]
+    def at(self, points: Array) -> tuple[Array, Array]:
+        """Return the values (n,) and gradients (n, 3) of the spline at points (n, 3) [m]; beyond the box it goes on."""
         spacing = (self.box[:, 1] - self.box[:, 0]) / self.cells
-        return np.einsum("nijk,i,j,k->n", own, value, value, value), np.stack(along, axis=1) / spacing
+        place = (points - self.box[:, 0]) / spacing
+        cell = np.clip(np.floor(place), 0, self.cells - 1).astype(np.int64)
+        weights = [cubic_splines.weights(place[:, axis] - cell[:, axis]) for axis in range(3)]
+        i, j, k = (cell[:, axis, None] + np.arange(4) for axis in range(3))
+        own = self.coefficients[i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]]
+        value, *along = (
+            np.einsum("nijk,ni,nj,nk->n", own, *(weights[a][int(a == b)] for a in range(3))) for b in (None, 0, 1, 2)
+        )
+        return value, np.stack(along, axis=1) / spacing
 
 
 def torus(ring: Any, tube: Any, hollow: bool) -> Torus:
@@ -259,9 +263,9 @@ def deviation(solid: SampledSolid, function: Callable[[Array], Any]) -> Deviatio
 
     There the spline is farthest from its samples; the distance is the difference of the two over the gradient.
     """
-    cells = solid.passed()
-    value, gradient = solid.at_middles(cells)
-    given = np.asarray(function(solid.middles(cells)), dtype=float)
+    middles = solid.middles(solid.passed())
+    value, gradient = solid.at(middles)
+    given = np.asarray(function(middles), dtype=float)
     off = np.abs(value - given) / np.linalg.norm(gradient, axis=1)
     return Deviation(float(off.max()), float(off.mean()))
 

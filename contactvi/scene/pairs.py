@@ -150,7 +150,7 @@ def choose_pairs(
     by_user = np.zeros((count, count), dtype=bool)
     for a, b in disabled:
         by_user[min(a, b), max(a, b)] = True
-    surfaces = {name for part in parts for name in part.surfaces}
+    surfaces = {part.prefix + name for part in parts for name in part.surfaces}
     by_function = np.array([name in surfaces for name in names], dtype=bool)
     solid = np.array([not isinstance(g.geometry, coal.Halfspace) for g in geometry.geometryObjects], dtype=bool)
     solid |= by_function

@@ -88,7 +88,7 @@ class PartList:
     @property
     def surfaces(self) -> dict[str, GivenSurface]:
         """The surfaces given by functions, by the names of their geometries."""
-        return {name: surface for part in self.parts for name, surface in part.surfaces.items()}
+        return {part.prefix + name: surface for part in self.parts for name, surface in part.surfaces.items()}
 
     def set_surface(self, name: str, surface: GivenSurface) -> None:
         """Set the function of a surface, in a new part that stands in the place of the old one."""

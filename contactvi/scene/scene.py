@@ -169,8 +169,10 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         armature: float | Mapping[str, float] | None = None,
         self_collision: bool = True,
         contact_friction: bool = False,
+        shape: str | Mapping[str, str] | None = None,
+        spacing: float | None = None,
     ) -> PartHandle:
-        """Add a URDF model. Meshes become convex hulls, mimic tags couple joints (see `report`).
+        """Add a URDF model. Meshes become convex hulls unless `shape` says so, mimic tags couple joints (see `report`).
 
         Args:
             path: file, or `package://...`, `example-robot-data://robots/...`.
@@ -189,6 +191,12 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
             self_collision: whether its links may touch each other; single pairs: `enable_pair`, `disable_pair`.
             contact_friction: whether its shapes have the friction that the file gives them for Drake (mu_dynamic),
                 Bullet (lateral_friction) or Gazebo (the smaller one of mu1 and mu2).
+            shape: what collision meshes become: "hull"; "pieces", convex ones by CoACD (`add_mesh(decompose=True)`),
+                called name_0, name_1, ...; "field", a solid of their shape (`add_mesh(spacing=)`). For all, or {name or
+                pattern: shape} of geometries or mesh files as the model has them, without the prefix; the others are
+                hulls. The report says which was taken, and how far its surface is from the mesh, measured both ways at
+                some thousand places: the largest and the mean distance. None: hulls, without that.
+            spacing: of the samples of fields [m]; None: a fortieth of the longest edge of each mesh.
 
         Raises:
             SceneError, UnsupportedJointError, InputError
@@ -197,7 +205,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         where = pose("placement", placement)
         part = import_urdf(
             path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic,
-            armature=armature, contact_friction=contact_friction,
+            armature=armature, contact_friction=contact_friction, shape=shape, spacing=spacing,
         )  # fmt: skip
         return self.add_model(part, limits, friction, self_collision)
 
@@ -224,11 +232,14 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         allow: Sequence[str] = (),
         turning_friction: bool = False,
         hfield: str = "prisms",
+        shape: str | Mapping[str, str] | None = None,
+        spacing: float | None = None,
     ) -> PartHandle:
         """Add an MJCF, compiled by MuJoCo (needs `pip install "contactvi[mjcf]"`). The rest as in add_urdf.
 
         The file says which of its geoms may touch, and their friction; what the engine has no place for is in `report`.
-        Geoms are rigid, planes endless, meshes convex. Keyframes are in `named_configurations`; gravity is the scene's.
+        Geoms are rigid, planes endless, meshes convex unless `shape` says so. Keyframes are in `named_configurations`;
+        gravity is the scene's.
 
         Args:
             friction: whether joints have their frictionloss.
@@ -245,12 +256,15 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
             hfield: of height fields "prisms": the triangles of the file, two convex prisms to a cell, with seams;
                 "smooth": one bicubic surface through the samples, as `add_heightfield`. The report says how far it is
                 from the triangles.
+            shape, spacing: as in add_urdf, by the names of geoms or meshes. Of an SDF plugin the mesh is meant that
+                MuJoCo makes of it.
         """
         where = pose("placement", placement)
         opened = path if isinstance(path, MjcfFile) else open_mjcf(path)
         part = import_mjcf(
             opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
             restitution=restitution, allow=allow, turning_friction=turning_friction, hfield=hfield,
+            shape=shape, spacing=spacing,
         )  # fmt: skip
         return self.add_model(part, limits, friction, self_collision)
 

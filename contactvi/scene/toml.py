@@ -6,10 +6,11 @@
                             { follow = "body" }
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
                             friction = false, mimic = true, armature = number | { joint = number },
-                            self_collision = true, contact_friction = false
+                            self_collision = true, contact_friction = false,
+                            shape = "hull" | "pieces" | "field" | { name = shape }, spacing
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
                             restitution = 0 | number | "solref", self_collision = true, allow = [] | ["flex"],
-                            turning_friction = false, hfield = "prisms" | "smooth"
+                            turning_friction = false, hfield = "prisms" | "smooth", shape, spacing
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[ellipsoid]]           name, radii, ...

@@ -80,14 +80,23 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
             mimic=entry.get("mimic", True),
             armature=entry.get("armature"),
             contact_friction=entry.get("contact_friction", False),
+            shape=entry.get("shape"),
+            spacing=entry.get("spacing"),
         )
         _add_model(scene, part, entry)
     elif section == "mjcf":
-        options = {
-            key: entry[key]
-            for key in ("prefix", "equality", "actuators", "restitution", "allow", "turning_friction", "hfield")
-            if key in entry
-        }
+        keys = (
+            "prefix",
+            "equality",
+            "actuators",
+            "restitution",
+            "allow",
+            "turning_friction",
+            "hfield",
+            "shape",
+            "spacing",
+        )
+        options = {key: entry[key] for key in keys if key in entry}
         opened = open_mjcf(entry["path"], folder)
         part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)
         _add_model(scene, part, entry)

@@ -49,6 +49,8 @@ KEYS: dict[str, tuple[str, ...]] = {
         "armature",
         "self_collision",
         "contact_friction",
+        "shape",
+        "spacing",
         *_PLACE,
     ),
     "mjcf": (
@@ -63,6 +65,8 @@ KEYS: dict[str, tuple[str, ...]] = {
         "allow",
         "turning_friction",
         "hfield",
+        "shape",
+        "spacing",
         *_PLACE,
     ),
     "sphere": ("radius", *_BODY),

@@ -20,6 +20,7 @@ from contactvi.verify import (
     cases_laws,
     cases_loops,
     cases_several,
+    cases_shapes,
 )
 from contactvi.verify.case import LIMIT, Case, Runs
 
@@ -29,6 +30,7 @@ CASES: tuple[Case, ...] = (
     *cases_several.CASES,
     *cases_laws.CASES,
     *cases_fields.CASES,
+    *cases_shapes.CASES,
     *cases_friction.CASES,
     *cases_contact.CASES,
     *cases_forced.CASES,

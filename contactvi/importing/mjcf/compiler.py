@@ -187,8 +187,8 @@ class Source:
 
     Attributes:
         m: the numbers of the model. meshes: its meshes.
-        given: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key" | "flex": names in the
-            file}, "" for what has none.
+        given: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key" | "flex" | "mesh": names
+            in the file}, "" for what has none.
         names: the same with a distinct name for everything.
     """
 
@@ -201,7 +201,7 @@ class Source:
         starts = {
             "body": m.name_bodyadr, "joint": m.name_jntadr, "geom": m.name_geomadr, "site": m.name_siteadr,
             "actuator": m.name_actuatoradr, "tendon": m.name_tendonadr, "equality": m.name_eqadr, "key": m.name_keyadr,
-            "flex": m.name_flexadr,
+            "flex": m.name_flexadr, "mesh": m.name_meshadr,
         }  # fmt: skip
         texts = bytes(m.names)
         self.given = {kind: [_text_at(texts, start) for start in places] for kind, places in starts.items()}

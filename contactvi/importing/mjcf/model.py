@@ -170,8 +170,8 @@ def _collision(
             index[geom] = []
             for shape in shapes.of(geom):
                 made = _geometry(source, tree, geom, shape)
-                if (surface := _surface(source, shape.mesh)) is not None:
-                    hulls.take_surface(made, *surface)
+                if shape.mesh is not None:
+                    hulls.take_surface(made, *source.meshes.of(shape.mesh), title=source.given["mesh"][shape.mesh])
                 index[geom].append(model.addGeometryObject(made))
     return model, index
 

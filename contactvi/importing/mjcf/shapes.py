@@ -60,7 +60,11 @@ def _shapes_of(source: Source, geom: int, hfield: str) -> list[Shape]:
         return _height_field(source, geom, hfield)
     if kind in ("mesh", "sdf"):
         if kind == "sdf":
-            source.lose("geom", source.names["geom"][geom], "signed distance field: the hull of its mesh is used")
+            source.lose(
+                "geom",
+                source.names["geom"][geom],
+                "signed distance field: of the mesh that MuJoCo makes of it, as of others",
+            )
         return [Shape("", coal.BVHModelOBBRSS(), int(m.geom_dataid[geom]))]
     source.lose("geom", source.names["geom"][geom], f"shape {kind}")
     return []
