@@ -72,28 +72,41 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
     const ContactStepRecord::Joint& joint = step.joints[k];
     velocity_.joints.push_back(joint.keeps || joint.slips ? Mode::kKept : Mode::kStick);
   }
-  for (const ContactStepRecord::Contact& c : step.contacts) {
+  bool limited = false;
+  for (std::size_t i = 0; i < step.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& c = step.contacts[i];
     const ContactOutcome& out = c.outcome;
-    velocity_.contacts.push_back(!out.active || !(step.lambda_end[c.row] > 0.0) ? Mode::kOpen
-                                 : c.before.mu == 0.0                           ? Mode::kStick
-                                 : out.keeps                                    ? Mode::kKept
-                                 : out.slips                                    ? Mode::kSlip
-                                                                                : Mode::kStick);
+    Mode mode = Mode::kStick;
+    if (!out.active || !(step.lambda_end[c.row] > 0.0)) {
+      mode = Mode::kOpen;
+    } else if (c.before.mu > 0.0 && out.keeps) {
+      mode = Mode::kKept;
+    } else if (c.before.mu > 0.0 && out.slips) {
+      const bool follows = follows_slip(c, mu_[i], step.lambda_end, velocity_.w.segment<2>(c.row + 1));
+      if (follows) mode = Mode::kSlip;
+      limited |= !follows;
+    }
+    velocity_.contacts.push_back(mode);
   }
+  if (limited) meet_limit_of_friction();
   check_laws();
   set_laws(velocity_, G_);
   check_shared(velocity_, MinvW_);
   if (step.ending == ContactStepEnd::kStick) take_released_friction();
 }
 
-// Whether the friction of a contact is against its slip over the step. Of a slip that is as small as what the step
+// Whether the friction of a contact in either problem is against its slip. Of a slip that is as small as what the step
 // leaves of its equations it may not be: then the contact is at the limit of its friction, and sticks.
-bool ContactStepTangent::follows_slip(const ContactStepRecord::Contact& c, double mu) const {
-  const VecX& lambda = record_->lambda;
-  const Eigen::Vector2d& slip = c.outcome.slip;
+bool ContactStepTangent::follows_slip(const ContactStepRecord::Contact& c, double mu, const VecX& lambda,
+                                      const Eigen::Vector2d& slip) const {
   if (slip.norm() > kLaw * (1.0 + record_->v.cwiseAbs().maxCoeff())) return true;
   const double limit = mu * lambda[c.row];
   return (lambda.segment<2>(c.row + 1) + limit * slip.normalized()).norm() <= kLaw * limit;
+}
+
+void ContactStepTangent::meet_limit_of_friction() const {
+  meet("friction", -1, "A persistent contact changes between sticking and slipping",
+       "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
 }
 
 // The geometry of the contacts at both ends, and what they do in the step.
@@ -154,16 +167,14 @@ void ContactStepTangent::take_contacts() {
       continue;
     }
     const double limit = mu_[i] * normal, friction = s.lambda.segment<2>(c.row + 1).norm();
-    directed_[i] = c.outcome.slipped && follows_slip(c, mu_[i]);
+    directed_[i] = c.outcome.slipped && follows_slip(c, mu_[i], s.lambda, c.outcome.slip);
     position_.contacts.push_back(directed_[i] ? Mode::kSlip : Mode::kStick);
     if (c.outcome.slipped && !directed_[i]) margin_ = 0.0;
     position_.w.segment<2>(c.row + 1) = c.outcome.slip;
     margin_ =
         std::min(margin_, c.outcome.slipped ? c.outcome.slip.norm() / (speed + 1e-300) : (limit - friction) / largest);
   }
-  if (margin_ < kOnCone)
-    meet("friction", -1, "A persistent contact changes between sticking and slipping",
-         "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
+  if (margin_ < kOnCone) meet_limit_of_friction();
 }
 
 // Adhesion, half of it at each end.

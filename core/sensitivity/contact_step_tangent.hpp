@@ -85,7 +85,9 @@ class ContactStepTangent {
   void meet(const char* reason, int guard, const std::string& fact, const char* expected, const std::string& got,
             const char* remedy) const;
   double energy_change();
-  bool follows_slip(const ContactStepRecord::Contact& contact, double mu) const;
+  bool follows_slip(const ContactStepRecord::Contact& contact, double mu, const VecX& lambda,
+                    const Eigen::Vector2d& slip) const;
+  void meet_limit_of_friction() const;
   void take_contacts();
   void take_laws();
   void take_position_problem();
