@@ -20,7 +20,11 @@ from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-STEP = 1e-5  # by which the states change in the nearby runs [m, rad, m/s]: far above rounding, its square far below 1
+ROUNDING = 1e-10  # of the states of two runs [m, rad, m/s]
+SAME = 1e-6  # of the largest change: as near is the derivative of a side to that of both
+# By which the inputs or the states change most in the nearby runs [m, rad, m/s, N, N m]: far above rounding, its square
+# far below 1.
+STEP = 1e-4
 AGREES = 1e-4  # of the largest change: from differences of the runs, whose error is that of their steps over STEP
 
 
@@ -30,13 +34,14 @@ class DirectionalDerivative:
 
     Attributes:
         q, v: changes of the states at the nodes, tangent vectors at q [m, rad] and velocities, shape (N, nv) each.
-        kink: the first kink at which the direction leads to one of several sides; None: the derivative is that of both
-            sides, and exact.
+        one_sided: whether it is that of this side only, as at a kink; else it is the exact one, of both sides.
+        kink: the first kink that the exact derivative meets along the direction; None where it meets none.
         error: what halving the distance of the nearby runs changed the derivative by, relative; 0.0 where it is exact.
     """
 
     q: Array
     v: Array
+    one_sided: bool
     kink: NotDifferentiable | None
     error: float
 
@@ -44,11 +49,11 @@ class DirectionalDerivative:
 def directional_derivative(traj: Trajectory, direction: Mapping[str, Any]) -> DirectionalDerivative:
     """Return the derivative of a run along a direction, to that side only: the limit of (run(x + h d) - run(x)) / h.
 
-    Where the run has a derivative along the direction this is it. At a kink it is that of the side that the direction
-    leads to: for a motion that is smooth on each side it is the limit of the derivatives of runs from x + h d, h > 0,
-    along d. These runs are made, and decide themselves which contacts open, close, stick or slip on that side. Two of
-    them, at a distance and half of it, are extrapolated. That they are on one side, and that this is the side of d, is
-    checked: the result has to be their difference from the run over that distance. So it costs some three runs.
+    Where the run is smooth along the direction this is the exact derivative. At a kink it is that of the side that the
+    direction leads to: for a motion that is smooth on each side it is the limit of the derivatives of runs from
+    x + h d, h > 0, along d. These runs are made, and decide themselves which contacts open, close, stick or slip there.
+    Two of them, at a distance and half of it, are extrapolated. That they are on one side, and that this is the side of
+    d, is checked: the result has to be their difference from the run over that distance. So it costs some three runs.
 
     Args:
         traj: a run with record="gradient".
@@ -73,24 +78,32 @@ def directional_derivative(traj: Trajectory, direction: Mapping[str, Any]) -> Di
     for name in along.names:
         if name not in EXACT:
             raise InputError(
-                "One-sided derivatives are along starts and inputs", name="direction", expected=f"some of {EXACT}",
-                got=name, remedy="Ask for Trajectory.sensitivity by parameters",
+                "The direction of a one-sided derivative is one in starts and inputs", name="direction",
+                expected=f"some of {EXACT}", got=name, remedy="Ask for Trajectory.sensitivity by parameters",
             )  # fmt: skip
     nv = compiled.states.nv
-    try:
-        exact = change_along(traj, compiled, along, False)
-        return DirectionalDerivative(exact[:, :nv], exact[:, nv:], None, 0.0)
-    except NotDifferentiable as reason:
-        kink = reason
+    exact, kink = _exact(traj, compiled, along)
+    rough = _taken(traj, compiled, along) if exact is None else exact
     side = _Side(traj, compiled, direction)
-    step = STEP / (max(side.largest(), float(np.abs(_taken(traj, compiled, along)).max())) or 1.0)
+    step = STEP / (max(side.largest(), float(np.abs(rough).max())) or 1.0)
     (far, far_difference), (near, near_difference) = side.at(step, kink), side.at(0.5 * step, kink)
     found, differences = 2.0 * near - far, 2.0 * near_difference - far_difference
-    size = max(float(np.abs(found).max()), float(np.abs(differences).max()))
-    off = float(np.abs(found - differences).max())
-    if not off <= AGREES * size:
-        raise _no_side(kink, f"runs on that side whose derivative is off their difference by {off / size:.1g} of it")
-    return DirectionalDerivative(found[:, :nv], found[:, nv:], kink, float(np.abs(near - far).max()) / size)
+    size = max(float(np.abs(found).max()), float(np.abs(differences).max())) or 1.0
+    off, error = float(np.abs(found - differences).max()) / size, float(np.abs(near - far).max()) / size
+    if not off <= AGREES + ROUNDING / (step * size):
+        raise _no_side(kink, f"runs on that side whose derivative is off their difference by {off:.1g} of it")
+    if exact is not None and float(np.abs(found - exact).max()) <= max(SAME, error) * size + ROUNDING / step:
+        return DirectionalDerivative(exact[:, :nv], exact[:, nv:], False, None, 0.0)
+    return DirectionalDerivative(found[:, :nv], found[:, nv:], True, kink, error)
+
+
+def _exact(
+    traj: Trajectory, compiled: CompiledScene, along: Direction
+) -> tuple[Array | None, NotDifferentiable | None]:
+    try:
+        return change_along(traj, compiled, along, False), None
+    except NotDifferentiable as kink:
+        return None, kink
 
 
 def _taken(traj: Trajectory, compiled: CompiledScene, along: Direction) -> Array:
@@ -100,10 +113,11 @@ def _taken(traj: Trajectory, compiled: CompiledScene, along: Direction) -> Array
         return np.zeros(1)
 
 
-def _no_side(kink: NotDifferentiable, got: str) -> NotDifferentiable:
+def _no_side(kink: NotDifferentiable | None, got: str) -> NotDifferentiable:
+    at = {} if kink is None else {"reason": kink.reason, "pair": kink.pair, "time": kink.time}
     return NotDifferentiable(
-        "The run has a kink, and no one-sided derivative that follows from runs on that side", reason=kink.reason,
-        pair=kink.pair, time=kink.time, expected="nearby runs along the direction that are smooth", got=got,
+        "The run has no one-sided derivative that follows from runs on that side", **at,
+        expected="nearby runs along the direction that are smooth", got=got,
         remedy="Take another direction; on_kink='taken' of Trajectory.sensitivity gives that of what the run did",
     )  # fmt: skip
 
@@ -126,10 +140,11 @@ class _Side:
                 self._targets[:, first + servos] = given[name]
 
     def largest(self) -> float:
-        """Return the largest change of the start."""
-        return max(float(np.abs(part).max(initial=0.0)) for part in (self._dq, self._dv, self._targets))
+        """Return the largest number of the direction."""
+        parts = (self._dq, self._dv, self._forces, self._targets)
+        return max(float(np.abs(part).max(initial=0.0)) for part in parts)
 
-    def at(self, step: float, kink: NotDifferentiable) -> tuple[Array, Array]:
+    def at(self, step: float, kink: NotDifferentiable | None) -> tuple[Array, Array]:
         """Return the derivative of the run at a distance, and its difference from the run over it, (N, 2 nv) each."""
         traj, inputs = self._traj, self._traj.inputs
         assert inputs is not None
