@@ -6,6 +6,8 @@ from .batch.results import BatchResult as BatchResult
 from .batch.storage import StoredBatch as StoredBatch
 from .batch.storage import join_batches as join_batches
 from .batch.storage import load_batch as load_batch
+from .derivatives.directional import DirectionalDerivative as DirectionalDerivative
+from .derivatives.directional import directional_derivative as directional_derivative
 from .derivatives.gradient import gradient as gradient
 from .derivatives.gradient_check import GradientCheck as GradientCheck
 from .derivatives.gradient_check import check_gradient as check_gradient

@@ -18,7 +18,7 @@ from oracles import friction_laws
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-SLOW = ("cart_optimization", "hand_throw", "hand_roll", "hand_mppi", "puppet_optimization")
+SLOW = ("cart_optimization", "hand_throw", "hand_roll", "hand_mppi", "puppet_optimization", "push_box")
 # Pages whose code is run.
 PAGES = [
     "README.md",

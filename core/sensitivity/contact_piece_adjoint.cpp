@@ -126,17 +126,18 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, double lenergy
   }
   if (held_piece_ != nullptr) return pass_held(lq, lp, ltime, result);
   const ContactStepRecord& s = *step_;
-  const bool ends_itself = s.ending != ContactStepEnd::kLength, releases = s.ending == ContactStepEnd::kRelease;
+  const bool ends_itself = has_own_end(s, adjoint_.tangent(), *inputs_, force_, *kinks_);
+  const double share = s.ending == ContactStepEnd::kLength ? s.share : 0.0;
   double lslip = 0.0;
-  if (releases) force_.take(release_of(s), inputs_->tau(), inputs_->servo());
-  if (ends_itself && s.ending != ContactStepEnd::kImpact) lslip = pass_end(releases, lq, lp, ltime, result);
+  if (ends_itself && s.ending != ContactStepEnd::kImpact)
+    lslip = pass_end(s.ending == ContactStepEnd::kRelease, lq, lp, ltime, result);
   result.begin_step();
   if (!adjoint_.solve(lq, lp, lslip, gradient_, result.parameters))
     throw NoDerivative({"step", -1, s.t}, "The derivative of a step was not solved",
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = gradient_.q;
   lp = gradient_.p;
-  ltime = gradient_.t + (ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h);
+  ltime = gradient_.t + (ends_itself ? -gradient_.h : ltime * (1.0 - share) - share * gradient_.h);
   if (lenergy != 0.0) add_energy(lenergy, lq, lp, ltime);
   result.end_step(number_, gradient_.tau);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {

@@ -82,7 +82,8 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     return;
   }
   if (held_piece_ != nullptr) return move_held(d, columns);
-  const bool ends_itself = step_->ending != ContactStepEnd::kLength;
+  const bool ends_itself = has_own_end(*step_, tangent_, *inputs_, force_, *kinks_);
+  const double share = step_->ending == ContactStepEnd::kLength ? step_->share : 0.0;
   const auto contacts = static_cast<Eigen::Index>(step_->contacts.size());
   slip_.setZero(d.count);
   energies_.setZero(d.count);
@@ -94,7 +95,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     direction_.p = columns.p.col(k);
     direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
     direction_.t = columns.time[k];
-    direction_.h = -columns.time[k] * (ends_itself ? 1.0 : step_->share);
+    direction_.h = -columns.time[k] * (ends_itself ? 1.0 : share);
     direction_.joints = joint_anchors_.col(k);
     direction_.size_q = size_q_[k];
     direction_.size_p = size_p_[k];
@@ -111,9 +112,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     if (!ends_itself) columns.time[k] += direction_.h;
   }
   if (!ends_itself || step_->ending == ContactStepEnd::kImpact) return;
-  const bool releases = step_->ending == ContactStepEnd::kRelease;
-  if (releases) force_.take(release_of(*step_), inputs_->tau(), inputs_->servo());
-  end(releases, d, columns);
+  end(step_->ending == ContactStepEnd::kRelease, d, columns);
 }
 
 void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
@@ -235,6 +234,19 @@ bool ends_by_force(const Piece& piece, HeldStepTangent& step, const PieceInputs&
   try {
     force.take(step.phase_end(), inputs.tau(), inputs.servo());
   } catch (const NoDerivative&) {
+    return false;
+  }
+  return true;
+}
+
+bool has_own_end(const ContactStepRecord& step, const ContactStepTangent& tangent, const PieceInputs& inputs,
+                 EndForce& force, Kinks& kinks) {
+  if (step.ending == ContactStepEnd::kStick) return tangent.slip_ends();
+  if (step.ending != ContactStepEnd::kRelease) return step.ending == ContactStepEnd::kImpact;
+  try {
+    force.take(release_of(step), inputs.tau(), inputs.servo());
+  } catch (const NoDerivative& obstacle) {
+    kinks.meet(obstacle);
     return false;
   }
   return true;

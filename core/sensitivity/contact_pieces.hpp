@@ -29,6 +29,10 @@ void check_end_rate(const Piece& piece, bool by_force, double rate);
 // Whether a held step ends at the zero of a force whose time has a derivative; force takes it. Else that time counts as
 // given: the forces are continuous there, so that the error is one like that of the step.
 bool ends_by_force(const Piece& piece, HeldStepTangent& step, const PieceInputs& inputs, EndForce& force);
+// Whether a contact step ends at a time of its own: of an impact, of a slip that comes to rest, or of a release, whose
+// force it takes. Where several end at one instant the time of none may be known: at such a kink it counts as given.
+bool has_own_end(const ContactStepRecord& step, const ContactStepTangent& tangent, const PieceInputs& inputs,
+                 EndForce& force, Kinks& kinks);
 // Throws NoDerivative for a contact that sticks without having come to stick in the run.
 [[noreturn]] void refuse_sticking_start(const ContactPoint& point, double time);
 

@@ -164,7 +164,7 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   lh_ = lt_ = 0.0;
   pass_pull(1, s.W1, lp);
   lmu_ = VecX::Zero(contacts);
-  if (s.ending == ContactStepEnd::kStick && lslip != 0.0) {
+  if (t.slip_ends_ && lslip != 0.0) {
     VecX lw = none;
     if (s.ended >= contacts) {
       lw[t.joint_row(s.ended - contacts)] = lslip;

@@ -41,6 +41,7 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   record_ = &step;
   margin_ = 1.0;
   slip_change_ = 0.0;
+  slip_ends_ = false;
   const auto require = step.from_file ? require_plain_law : require_known_law;
   for (const auto& c : step.contacts) require(*scene_, c.before.point.guard, step.t);
   rows_ = static_cast<int>(step.lambda.size());
@@ -71,28 +72,41 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
     const ContactStepRecord::Joint& joint = step.joints[k];
     velocity_.joints.push_back(joint.keeps || joint.slips ? Mode::kKept : Mode::kStick);
   }
-  for (const ContactStepRecord::Contact& c : step.contacts) {
+  bool limited = false;
+  for (std::size_t i = 0; i < step.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& c = step.contacts[i];
     const ContactOutcome& out = c.outcome;
-    velocity_.contacts.push_back(!out.active || !(step.lambda_end[c.row] > 0.0) ? Mode::kOpen
-                                 : c.before.mu == 0.0                           ? Mode::kStick
-                                 : out.keeps                                    ? Mode::kKept
-                                 : out.slips                                    ? Mode::kSlip
-                                                                                : Mode::kStick);
+    Mode mode = Mode::kStick;
+    if (!out.active || !(step.lambda_end[c.row] > 0.0)) {
+      mode = Mode::kOpen;
+    } else if (c.before.mu > 0.0 && out.keeps) {
+      mode = Mode::kKept;
+    } else if (c.before.mu > 0.0 && out.slips) {
+      const bool follows = follows_slip(c, mu_[i], step.lambda_end, velocity_.w.segment<2>(c.row + 1));
+      if (follows) mode = Mode::kSlip;
+      limited |= !follows;
+    }
+    velocity_.contacts.push_back(mode);
   }
+  if (limited) meet_limit_of_friction();
   check_laws();
   set_laws(velocity_, G_);
   check_shared(velocity_, MinvW_);
   if (step.ending == ContactStepEnd::kStick) take_released_friction();
 }
 
-// Whether the friction of a contact is against its slip over the step. Of a slip that is as small as what the step
+// Whether the friction of a contact in either problem is against its slip. Of a slip that is as small as what the step
 // leaves of its equations it may not be: then the contact is at the limit of its friction, and sticks.
-bool ContactStepTangent::follows_slip(const ContactStepRecord::Contact& c, double mu) const {
-  const VecX& lambda = record_->lambda;
-  const Eigen::Vector2d& slip = c.outcome.slip;
+bool ContactStepTangent::follows_slip(const ContactStepRecord::Contact& c, double mu, const VecX& lambda,
+                                      const Eigen::Vector2d& slip) const {
   if (slip.norm() > kLaw * (1.0 + record_->v.cwiseAbs().maxCoeff())) return true;
   const double limit = mu * lambda[c.row];
   return (lambda.segment<2>(c.row + 1) + limit * slip.normalized()).norm() <= kLaw * limit;
+}
+
+void ContactStepTangent::meet_limit_of_friction() const {
+  meet("friction", -1, "A persistent contact changes between sticking and slipping",
+       "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
 }
 
 // The geometry of the contacts at both ends, and what they do in the step.
@@ -153,16 +167,14 @@ void ContactStepTangent::take_contacts() {
       continue;
     }
     const double limit = mu_[i] * normal, friction = s.lambda.segment<2>(c.row + 1).norm();
-    directed_[i] = c.outcome.slipped && follows_slip(c, mu_[i]);
+    directed_[i] = c.outcome.slipped && follows_slip(c, mu_[i], s.lambda, c.outcome.slip);
     position_.contacts.push_back(directed_[i] ? Mode::kSlip : Mode::kStick);
     if (c.outcome.slipped && !directed_[i]) margin_ = 0.0;
     position_.w.segment<2>(c.row + 1) = c.outcome.slip;
     margin_ =
         std::min(margin_, c.outcome.slipped ? c.outcome.slip.norm() / (speed + 1e-300) : (limit - friction) / largest);
   }
-  if (margin_ < kOnCone)
-    meet("friction", -1, "A persistent contact changes between sticking and slipping",
-         "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
+  if (margin_ < kOnCone) meet_limit_of_friction();
 }
 
 // Adhesion, half of it at each end.
@@ -483,25 +495,55 @@ void ContactStepTangent::solve_laws(const Problem& problem, const VecX& c, const
        "Start with the bodies apart, or in touch at one point; on_kink='taken' keeps them closed");
 }
 
-// The velocity impulse if the friction of all contacts that slipped had gone on.
+// Whether the slip whose end ended the step goes on in the impulse at its end, ends beside others that go on, and was
+// there over the step.
+ContactStepTangent::EndedSlip ContactStepTangent::ended_slip() const {
+  const ContactStepRecord& s = *record_;
+  const auto count = static_cast<int>(s.contacts.size());
+  if (s.ended >= count) {
+    const ContactStepRecord::Joint& joint = s.joints[static_cast<std::size_t>(s.ended - count)];
+    return {joint.keeps, joint.freed, joint.slipped};
+  }
+  const ContactOutcome& out = s.contacts[static_cast<std::size_t>(s.ended)].outcome;
+  return {out.keeps, out.freed, out.slipped && !out.turned};
+}
+
+// The velocity impulse up to the end of the slip that ended the step: with the friction of all contacts that slipped
+// going on. Where several slips end at one instant it is that of the order that was taken, a kink: those that ended
+// first have ended. A slip that was at rest already when the step began has no time of its own.
 void ContactStepTangent::take_released_friction() {
   const ContactStepRecord& s = *record_;
-  frozen_.joints = velocity_.joints;
-  frozen_.contacts = velocity_.contacts;
   const auto count = static_cast<int>(s.contacts.size());
   const int guard = s.ended < count ? s.contacts[s.ended].before.point.guard : -1;
-  const bool known = s.ended < count ? s.contacts[s.ended].outcome.freed : s.joints[s.ended - count].freed;
-  bool plain = known;
-  for (std::size_t k = 0; k < s.joints.size(); ++k)
-    if (s.joints[k].slipped) frozen_.joints[k] = Mode::kKept;
-  for (int i = 0; i < count; ++i) {
-    if (frozen_.contacts[i] == Mode::kOpen) continue;
-    if (s.contacts[i].outcome.slipped) frozen_.contacts[i] = Mode::kKept;
-    plain &= frozen_.contacts[i] != Mode::kSlip;
+  const EndedSlip slip = ended_slip();
+  frozen_.joints = velocity_.joints;
+  frozen_.contacts = velocity_.contacts;
+  bool alone = slip.freed || slip.keeps;
+  for (std::size_t k = 0; k < s.joints.size(); ++k) {
+    const ContactStepRecord::Joint& joint = s.joints[k];
+    alone &= slip.freed || !joint.freed;
+    if (joint.slipped && (slip.freed || !joint.freed)) frozen_.joints[k] = Mode::kKept;
   }
-  if (!plain)
-    refuse("stick", guard, "A slip ends in a way whose time has no derivative that is known",
-           "one slip that comes to rest", "several at once, or one that turns", "Start elsewhere");
+  for (int i = 0; i < count; ++i) {
+    const ContactOutcome& out = s.contacts[i].outcome;
+    alone &= slip.freed || !out.freed;
+    if (frozen_.contacts[i] == Mode::kOpen) continue;
+    if (out.slipped && (slip.freed || !out.freed)) frozen_.contacts[i] = Mode::kKept;
+    alone &= frozen_.contacts[i] != Mode::kSlip;
+    // While the impulse is that of the step its slips turn as they do there.
+    if (!slip.keeps && frozen_.contacts[i] == Mode::kSlip) frozen_.contacts[i] = Mode::kKept;
+  }
+  slip_ends_ = slip.lasts;
+  if (!alone || !slip_ends_)
+    meet("stick", guard, "Several slips come to rest at one instant", "one slip that comes to rest",
+         "several at once, or one that turns",
+         "Start elsewhere; on_kink='taken' gives the derivative of what was taken");
+  if (!slip_ends_) return;
+  if (slip.keeps) {
+    frozen_ = velocity_;
+    v_frozen_ = s.v1;
+    return;
+  }
   set_laws(frozen_, G_);
   check_shared(frozen_, MinvW_);
   VecX right = w_minus_;
@@ -571,7 +613,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   end_change(velocity_, s.v1, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
   dp1 = dp_minus_ + dW1_ * given(s.lambda_end, 1) + s.W1 * (dlambda_end_ - pull_change(1, d.t, d.h));
   dq1 = q;
-  if (s.ending != ContactStepEnd::kStick) return;
+  if (!slip_ends_) return;
   end_change(frozen_, v_frozen_, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
   const auto count = static_cast<int>(s.contacts.size());
   if (s.ended >= count) {

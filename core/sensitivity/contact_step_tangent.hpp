@@ -51,6 +51,8 @@ class ContactStepTangent {
   void solve(const ContactStepDirection& direction, VecRef dq1, VecRef dp1);
   // Of the last direction: that of the slip whose end ended the step, if its friction had gone on [m/s].
   double slip_change() const { return slip_change_; }
+  // Whether the step ended where that slip came to rest: one that was at rest before it tells no time.
+  bool slip_ends() const { return slip_ends_; }
   // Of the last direction, without parameters: the changes of the scalar that DTEC conserves, of a step after an impact
   // and of one before it [J]. It is the discrete energy less the work that prescribed motions do at the start of the
   // step, or plus the work that they do at its end.
@@ -71,6 +73,11 @@ class ContactStepTangent {
     VecX lambda, w;
     SharedLoad system;
   };
+  // In the velocity impulse: whether its friction keeps its direction, or would reverse it beside others that all keep
+  // theirs; lasts: it was there over the step.
+  struct EndedSlip {
+    bool keeps, freed, lasts;
+  };
 
   [[noreturn]] void refuse(const char* reason, int guard, const std::string& fact, const char* expected,
                            const std::string& got, const char* remedy) const;
@@ -78,7 +85,9 @@ class ContactStepTangent {
   void meet(const char* reason, int guard, const std::string& fact, const char* expected, const std::string& got,
             const char* remedy) const;
   double energy_change();
-  bool follows_slip(const ContactStepRecord::Contact& contact, double mu) const;
+  bool follows_slip(const ContactStepRecord::Contact& contact, double mu, const VecX& lambda,
+                    const Eigen::Vector2d& slip) const;
+  void meet_limit_of_friction() const;
   void take_contacts();
   void take_laws();
   void take_position_problem();
@@ -87,6 +96,7 @@ class ContactStepTangent {
   VecX law_change(const Problem& problem, const ContactStepDirection& d, const VecX& base, const VecX& dy) const;
   void solve_laws(const Problem& problem, const VecX& c, const VecX& size, VecX& dlambda) const;
   Eigen::Vector2d slip_of(const Problem& problem, std::size_t contact) const;
+  EndedSlip ended_slip() const;
   void take_released_friction();
   void check_laws();
   // Impulses along the rows at an end, less those of adhesion, and the changes of these.
@@ -122,6 +132,7 @@ class ContactStepTangent {
   VecX pull_[2], pull_by_t_[2], pull_by_h_[2];  // impulses of adhesion at both ends, by the time and by the length
   ConstraintTangent start_constraints_, end_constraints_;
   double margin_ = 1.0, slip_change_ = 0.0;
+  bool slip_ends_ = false;
   int rows_ = 0, constraints_ = 0;  // constraints_: how many of the rows are those of constraints
   // Per unit of each position impulse: q1, p-, the stage's velocity, the rows.
   MatX Q_, P_, V_, Y_;
