@@ -114,7 +114,7 @@ def _taken(traj: Trajectory, compiled: CompiledScene, along: Direction) -> Array
 
 
 def _no_side(kink: NotDifferentiable | None, got: str) -> NotDifferentiable:
-    at = {} if kink is None else {"reason": kink.reason, "pair": kink.pair, "time": kink.time}
+    at: dict[str, Any] = {} if kink is None else {"reason": kink.reason, "pair": kink.pair, "time": kink.time}
     return NotDifferentiable(
         "The run has no one-sided derivative that follows from runs on that side", **at,
         expected="nearby runs along the direction that are smooth", got=got,
