@@ -114,9 +114,9 @@ def _taken(traj: Trajectory, compiled: CompiledScene, along: Direction) -> Array
 
 
 def _no_side(kink: NotDifferentiable | None, got: str) -> NotDifferentiable:
-    at = {} if kink is None else {"reason": kink.reason, "pair": kink.pair, "time": kink.time}
+    reason, pair, time = (None, None, None) if kink is None else (kink.reason, kink.pair, kink.time)
     return NotDifferentiable(
-        "The run has no one-sided derivative that follows from runs on that side", **at,
+        "The run has no one-sided derivative that follows from runs on that side", reason=reason, pair=pair, time=time,
         expected="nearby runs along the direction that are smooth", got=got,
         remedy="Take another direction; on_kink='taken' of Trajectory.sensitivity gives that of what the run did",
     )  # fmt: skip
