@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from contactvi.playback.animation import Frames, Poses
 from contactvi.playback.lines import path_of, rotate
 from contactvi.playback.open_side import open_side
+from contactvi.playback.sight import bounds
 from contactvi.playback.touches import Touches
 from contactvi.playback.visuals import Visual
 
@@ -125,7 +126,7 @@ class _Spot:
             rows = np.unique(np.linspace(0, len(path[0]) - 1, _FITTED).astype(int))
             return cls(np.stack([points[rows] for points in path], axis=1), 0.0, thin=True)
         poses = frames.poses[visual.joint]
-        low, high, margin = _bounds(visual)
+        low, high, margin = bounds(visual)
         corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
         corners = np.unique(corners, axis=0) @ visual.placement[:3, :3].T + visual.placement[:3, 3]
         rows = np.unique(np.linspace(0, len(poses.position) - 1, _FITTED).astype(int))
@@ -160,17 +161,3 @@ def _box(spots: list[_Spot]) -> tuple[Array, Array]:
     low = np.min([spot.points.min(axis=(0, 1)) - spot.margin for spot in spots], axis=0)
     high = np.max([spot.points.max(axis=(0, 1)) + spot.margin for spot in spots], axis=0)
     return low, high
-
-
-def _bounds(visual: Visual) -> tuple[Array, Array, float]:
-    """Return the corners of the box of a shape, in its own frame, and a margin around it [m]."""
-    sizes = np.array(visual.sizes)
-    if visual.shape == "mesh":
-        return visual.vertices.min(axis=0).astype(float), visual.vertices.max(axis=0).astype(float), 0.0
-    if visual.shape == "sphere":
-        return np.zeros(3), np.zeros(3), float(sizes[0])
-    if visual.shape == "capsule":
-        end = np.array([0.0, 0.0, sizes[1]])
-        return -end, end, float(sizes[0])
-    half = sizes[[0, 0, 1]] if visual.shape in ("cylinder", "cone") else sizes
-    return -half, half, 0.0

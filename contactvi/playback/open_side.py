@@ -2,9 +2,8 @@
 
 Points are scattered over all shapes at a few times of the run and looked at from candidate directions on a coarse grid:
 the nearest point of a cell hides the others. The direction that sees most of what moves is taken; every tree of bodies
-counts the same, a ball as much as the hand it lies in. Contact points count twice as much as all of this: of each, by
-its impulse, how little of the bodies there is between it and the camera. They lie between two bodies, so that one
-of the two may hide them, too; the times are then those at which the impulses are passed on.
+counts the same, a ball as much as the hand it lies in. Contact points count twice as much as all of this: each by its
+impulse and by how little hides it. The times are then those at which the impulses are passed on.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.playback.animation import Frames
+from contactvi.playback.sight import covered
 from contactvi.playback.touches import Touches
 from contactvi.playback.visuals import Visual
 
@@ -27,7 +27,7 @@ _CELLS = 40  # across the picture: a shape's points are denser than that
 _MOMENTS = (0.2, 0.5, 1.0)  # of the run
 _SHARES = (0.2, 0.5, 0.8)  # of the whole impulse, where there are contacts
 _CONTACTS = 2.0  # weight of the contact points
-_HIDING = 0.1  # radii of the picture of bodies in front of a contact point that leave 1/e of it
+_HIDING = 0.1  # radii of the picture of its own bodies in front of a contact point that leave 1/e of it
 
 
 def open_side(
@@ -60,13 +60,12 @@ def open_side(
     score = _PREFERENCE * choices @ _USUAL
     for moment in moments:
         cloud = _scattered(surfaces, frames, moment, center, radius)
-        if cloud is None:
-            continue
-        score += [_seen(direction, trees, *cloud) / len(moments) for direction in choices]
+        if cloud is not None:
+            score += [_seen(direction, trees, *cloud) / len(moments) for direction in choices]
         if touches is not None and len(now := touches.at(moment)):
-            points = (now.point - center) / radius
-            in_sight = [_in_sight(direction, points, cloud[0]) @ now.weight for direction in choices]
-            score += _CONTACTS / len(moments) * np.array(in_sight) / now.weight.sum()
+            frame = int(np.argmin(np.abs(frames.times - moment)))
+            in_sight = np.exp(-covered(visuals, frames, frame, now.point, choices) / (_HIDING * radius))
+            score += _CONTACTS / len(moments) * (in_sight @ now.weight) / now.weight.sum()
     return np.asarray(choices[np.argmax(score)])
 
 
@@ -125,14 +124,6 @@ def _seen(direction: Array, trees: Indices, points: Array, joints: Indices, movi
     present = present[alone[present] > 0]
     share = visible[present] / alone[present]
     return float(np.mean([share[trees[present] == tree].mean() for tree in np.unique(trees[present])]))
-
-
-def _in_sight(direction: Array, contacts: Array, points: Array) -> Array:
-    """Return how much of each contact point (k, 3) is seen along a direction, 1 where no point (n, 3) is before it."""
-    front = np.full(_CELLS * _CELLS, -np.inf)
-    np.maximum.at(front, _cells(direction, points), points @ direction)
-    covered = np.maximum(front[_cells(direction, contacts)] - contacts @ direction, 0.0)
-    return np.exp(-covered / _HIDING)
 
 
 def _cells(direction: Array, points: Array) -> Indices:

@@ -209,9 +209,10 @@ def _draw_gaps(
     gap: np.ndarray,
     colors: dict[tuple[str, str], str],
 ) -> None:
-    order = np.argsort(gap.min(axis=0))[:_MAX_PAIRS]
+    ranked = list(colors)  # by impulse: the first ones have colours of their own
+    order = sorted(range(len(pairs)), key=lambda k: ranked.index(pairs[k]))[:_MAX_PAIRS]
     axis.axhline(0.0, color="black", lw=0.8)
-    more = f"{len(order)} of {len(pairs)} pairs that touched" if len(pairs) > len(order) else ""
+    more = f"{len(order)} of {len(pairs)} pairs that touched, by impulse" if len(pairs) > len(order) else ""
     for k in order:
         draw_curve(axis, time, gap[:, k], " | ".join(pairs[k]), color=colors[pairs[k]], lw=1.1)
     legend(axis, more)
