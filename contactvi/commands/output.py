@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.markup import escape
@@ -67,8 +67,12 @@ def write_files(
     return written
 
 
-def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool) -> list[Path]:
-    """Draw the energy of a run, and its contact forces if it has some, as files of this kind; return their paths."""
+def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool, **style: Any) -> list[Path]:
+    """Draw the energy of a run, and its contact forces if it has some, as files of this kind; return their paths.
+
+    Args:
+        style: dpi and transparent of `save_plot`.
+    """
     from contactvi.files import check_free
     from contactvi.trajectory.plots import save_force_plot, save_plot
 
@@ -77,8 +81,8 @@ def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool) -> li
         del names[1]
     for name in names:
         check_free(name, overwrite)
-    written = [save_plot(traj, names[0], overwrite=True)]
-    return [*written, *(save_force_plot(traj, name, overwrite=True) for name in names[1:])]
+    written = [save_plot(traj, names[0], overwrite=True, **style)]
+    return [*written, *(save_force_plot(traj, name, overwrite=True, **style) for name in names[1:])]
 
 
 def run_title(file: Path) -> str:

@@ -62,6 +62,8 @@ def plot_run(
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for the plots, by default the run's.")
     ] = None,
     kind: Annotated[str, typer.Option("--format", help="png or svg.")] = "png",
+    dpi: Annotated[float, typer.Option(help="Pixels per inch; the plots are ten inches wide.")] = 130.0,
+    transparent: Annotated[bool, typer.Option("--transparent", help="No background.")] = False,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the plots.")] = True,
     force: Force = False,
 ) -> None:
@@ -76,7 +78,7 @@ def plot_run(
     traj = Trajectory.load(file)
     folder = file.parent if output is None else output
     make_folder(folder)
-    for path in draw_plots(traj, folder, kind, again):
+    for path in draw_plots(traj, folder, kind, again, dpi=dpi, transparent=transparent):
         out.print(f"Plot: {escape(str(path))}")
         if browser and not webbrowser.open(path.resolve().as_uri(), new=2):
             out.print("No browser was found: open the plot by hand.")
@@ -104,6 +106,9 @@ def render(
     start: Annotated[float | None, typer.Option(help="Time at which the film begins, in seconds.")] = None,
     end: Annotated[float | None, typer.Option(help="Time at which it ends.")] = None,
     forces: Annotated[bool, typer.Option("--forces/--no-forces", help="Arrows of forces and impulses.")] = True,
+    labels: Annotated[bool, typer.Option("--labels", help="Names of the bodies.")] = False,
+    transparent: Annotated[bool, typer.Option("--transparent", help="A .png without a background.")] = False,
+    dpi: Annotated[float | None, typer.Option(help="Pixels per inch that a .png says it has.")] = None,
     force: Force = False,
 ) -> None:
     """Draw a run as a GIF, an MP4 or a PNG, by Chromium without a window; an MP4 needs ffmpeg."""
@@ -122,6 +127,9 @@ def render(
         start=start,
         end=end,
         forces=forces,
+        labels=labels,
+        transparent=transparent,
+        dpi=dpi,
         overwrite=force,
     )
     out.print(f"{escape(str(written))}  ({written.stat().st_size / 1e6:.2g} MB)")

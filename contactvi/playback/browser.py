@@ -16,12 +16,11 @@ from pathlib import Path
 from contactvi.errors import ContactviError
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
-# Software rendering: WebGL is needed, and a machine that makes documents may have no graphics card. Two pixels of the
-# screen for each of the picture, which is made smaller afterwards: smooth edges.
+# Software rendering: WebGL is needed, and a machine that makes documents may have no graphics card.
 _FLAGS = (
     "--headless=new", "--disable-gpu", "--no-first-run", "--disable-dev-shm-usage", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-extensions", "--use-gl=angle",
-    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--force-device-scale-factor=2",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-background-timer-throttling", "--disable-renderer-backgrounding",
 )  # fmt: skip
 PATIENCE = 120.0  # [s] for one picture; the first one comes after the browser has started

@@ -1,6 +1,7 @@
 """What a picture has to show: the places of all shapes in the course of a run, and from where they are seen best.
 
-Halfspaces do not count, they have no end; nor does what flies far away from where everything starts.
+Halfspaces do not count, they have no end; nor does what flies far away from where everything starts. What touches is
+in the middle half of the picture: the outline is continued beyond it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from contactvi.playback.animation import Frames, Poses
 from contactvi.playback.lines import path_of, rotate
 from contactvi.playback.open_side import open_side
+from contactvi.playback.sight import bounds
+from contactvi.playback.touches import Touches
 from contactvi.playback.visuals import Visual
 
 Array = NDArray[np.float64]
@@ -20,6 +23,7 @@ Indices = NDArray[np.int64]
 
 _FITTED = 200  # frames that are looked at
 _FAR = 2.0  # sizes of the start within which motion counts
+_BEYOND = 1.0 / 3.0  # of the way from the contacts to a border that there is on their other side at least
 _OUTLINE = 240  # directions whose outermost points are kept: a picture from any side is off by about a percent
 
 
@@ -31,7 +35,7 @@ class View:
         center, radius: of the ball around the box of what moves [m].
         size: of the bodies [m], for arrows.
         direction: unit vector to the camera that sees most.
-        outline: outermost points of all that is shown [m], (k, 3).
+        outline: outermost points of all that is shown and of the room around the contacts [m], (k, 3).
     """
 
     center: Array
@@ -41,29 +45,38 @@ class View:
     outline: Array
 
 
-def fit(visuals: list[Visual], frames: Frames, trees: Indices, moment: float | None = None) -> View:
+def fit(
+    visuals: list[Visual], frames: Frames, trees: Indices, moment: float | None = None, touches: Touches | None = None
+) -> View:
     """Return the frame of the picture of a run; `trees` as of `trees_of`.
 
     Args:
         moment: time [s] from the start of the run that the picture shows alone; None: all of the run.
+        touches: where the bodies touch; None: nothing is known of it.
     """
     solid = [visual for visual in visuals if visual.shape != "halfspace"]
     spots = [_Spot.of(visual, frames) for visual in solid] or [_Spot(np.zeros((1, 1, 3)), 1.0)]
     home, far = _home(spots)
+    if touches is not None:
+        touches = touches.near(home, far) if moment is None else touches.near(home, far).at(moment)
+        touches = touches if len(touches) else None
+    whole = frames
     if moment is not None:
         frames = _at(frames, moment)
         spots = [_Spot.of(visual, frames) for visual in solid] or spots
     near = [spot for spot in (spot.within(home, far) for spot in spots) if len(spot.points)] or spots
     low, high = _box(near)
+    outline = _outline(near)
     center = 0.5 * (low + high)
     radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
-    return View(
-        center=center,
-        radius=radius,
-        size=min(radius, 6.0 * max((spot.size for spot in spots if not spot.thin), default=radius)),
-        direction=open_side(visuals, frames, trees, high - low, center, radius),
-        outline=_outline(near),
-    )
+    size = min(radius, 6.0 * max((spot.size for spot in spots if not spot.thin), default=radius))
+    direction = open_side(visuals, whole if touches else frames, trees, high - low, center, radius, touches)
+    if touches is not None:
+        # A picture of this outline has the contacts in its middle half, from whatever side it is taken.
+        outline = np.concatenate([outline, (1.0 + _BEYOND) * touches.center() - _BEYOND * outline])
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        center, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), radius)
+    return View(center=center, radius=radius, size=size, direction=direction, outline=outline)
 
 
 def _at(frames: Frames, moment: float) -> Frames:
@@ -113,7 +126,7 @@ class _Spot:
             rows = np.unique(np.linspace(0, len(path[0]) - 1, _FITTED).astype(int))
             return cls(np.stack([points[rows] for points in path], axis=1), 0.0, thin=True)
         poses = frames.poses[visual.joint]
-        low, high, margin = _bounds(visual)
+        low, high, margin = bounds(visual)
         corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
         corners = np.unique(corners, axis=0) @ visual.placement[:3, :3].T + visual.placement[:3, 3]
         rows = np.unique(np.linspace(0, len(poses.position) - 1, _FITTED).astype(int))
@@ -148,17 +161,3 @@ def _box(spots: list[_Spot]) -> tuple[Array, Array]:
     low = np.min([spot.points.min(axis=(0, 1)) - spot.margin for spot in spots], axis=0)
     high = np.max([spot.points.max(axis=(0, 1)) + spot.margin for spot in spots], axis=0)
     return low, high
-
-
-def _bounds(visual: Visual) -> tuple[Array, Array, float]:
-    """Return the corners of the box of a shape, in its own frame, and a margin around it [m]."""
-    sizes = np.array(visual.sizes)
-    if visual.shape == "mesh":
-        return visual.vertices.min(axis=0).astype(float), visual.vertices.max(axis=0).astype(float), 0.0
-    if visual.shape == "sphere":
-        return np.zeros(3), np.zeros(3), float(sizes[0])
-    if visual.shape == "capsule":
-        end = np.array([0.0, 0.0, sizes[1]])
-        return -end, end, float(sizes[0])
-    half = sizes[[0, 0, 1]] if visual.shape in ("cylinder", "cone") else sizes
-    return -half, half, 0.0

@@ -21,6 +21,7 @@ from contactvi.playback.page import event_data
 from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.events import EventLog
+from contactvi.records.pair_colors import PAIR_COLORS
 from contactvi.records.recent import Recent
 from contactvi.scene.scene import Scene
 from contactvi.status import Status
@@ -104,6 +105,7 @@ class FrameWriter:
         self.poses = BodyPoses(self._scene.model, joints)
         self._places = {joint: k for k, joint in enumerate(joints)}
         self._pairs: dict[int, tuple[float, int, int]] = {}
+        self._colors: dict[tuple[str, str], str] = {}  # of pairs, in the order in which they come
         self._longest = 0.0  # [s] step that was seen
         self._known: dict[tuple[int, int], Array] = {}  # point -> the force that it had last
         self.run = 0
@@ -143,7 +145,10 @@ class FrameWriter:
         happened = None
         if recent.happened:
             new = _Happened(self._scene, recent.events, recent.contact_changes)
-            happened = json.dumps(event_data(new, 0.0), allow_nan=False)
+            for log in (recent.events, recent.contact_changes):
+                for index in np.unique(log.array("index")[log.array("kind") == GuardKind.CONTACT]).tolist():
+                    self._tone(recent.events.label(int(GuardKind.CONTACT), index))
+            happened = json.dumps(event_data(new, 0.0, self._colors), allow_nan=False)
         return json.dumps(frame, allow_nan=False), happened, restart
 
     def _contacts(self, log: ContactLog) -> dict[str, Any] | None:
@@ -160,11 +165,17 @@ class FrameWriter:
         for k in np.flatnonzero(log.h[rows] <= _BRIEF * self._longest).tolist():
             force[k] = self._known.get(points[k], np.zeros(3))
         self._known = dict(zip(points, force, strict=True))
+        tones = {k: self._tone(log.label(int(GuardKind.CONTACT), k)) for k in np.unique(index).tolist()}
         numbers = np.column_stack([log.array("mode")[rows], index, number, pairs[:, 1:]])
         return {
             "vectors": packed(np.column_stack([log.position[rows], force]), "f4"),  # point, force
             "numbers": packed(numbers, "i4"),  # mode, pair, number of the point, places of the two bodies
+            "colors": tones,  # of the pairs
         }
+
+    def _tone(self, pair: tuple[str, str]) -> str:
+        """Return the colour of a pair; a new one gets the next."""
+        return self._colors.setdefault(pair, PAIR_COLORS[len(self._colors) % len(PAIR_COLORS)])
 
     def _pair(self, index: int) -> tuple[float, int, int]:
         """Return for a pair the side on which its force is drawn, and the places of its bodies, -1: not drawn."""

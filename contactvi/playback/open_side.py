@@ -2,7 +2,8 @@
 
 Points are scattered over all shapes at a few times of the run and looked at from candidate directions on a coarse grid:
 the nearest point of a cell hides the others. The direction that sees most of what moves is taken; every tree of bodies
-counts the same, a ball as much as the hand it lies in.
+counts the same, a ball as much as the hand it lies in. Contact points count twice as much as all of this: each by its
+impulse and by how little hides it. The times are then those at which the impulses are passed on.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.playback.animation import Frames
+from contactvi.playback.sight import covered
+from contactvi.playback.touches import Touches
 from contactvi.playback.visuals import Visual
 
 Array = NDArray[np.float64]
@@ -22,10 +25,19 @@ _PREFERENCE = 0.05  # share of what moves that the usual direction may see less 
 _POINTS = 300  # on each shape
 _CELLS = 40  # across the picture: a shape's points are denser than that
 _MOMENTS = (0.2, 0.5, 1.0)  # of the run
+_SHARES = (0.2, 0.5, 0.8)  # of the whole impulse, where there are contacts
+_CONTACTS = 2.0  # weight of the contact points
+_HIDING = 0.1  # radii of the picture of its own bodies in front of a contact point that leave 1/e of it
 
 
 def open_side(
-    visuals: list[Visual], frames: Frames, trees: Indices, extent: Array, center: Array, radius: float
+    visuals: list[Visual],
+    frames: Frames,
+    trees: Indices,
+    extent: Array,
+    center: Array,
+    radius: float,
+    touches: Touches | None = None,
 ) -> Array:
     """Return the unit vector from the scene to the camera.
 
@@ -33,6 +45,7 @@ def open_side(
         trees: the tree that each joint belongs to, (njoints,).
         extent: sides [m] of the box of all motion, (3,).
         center, radius: of the picture [m].
+        touches: where bodies touch, at times of `frames`.
     """
     choices = _choices(extent)
     normals = [v.placement[:3, :3] @ np.array(v.sizes[:3]) for v in visuals if v.shape == "halfspace"]
@@ -42,13 +55,18 @@ def open_side(
         (v.joint, _surface(v) @ v.placement[:3, :3].T + v.placement[:3, 3])
         for v in visuals if v.shape not in ("halfspace", "line")
     ]  # fmt: skip
-    clouds = [
-        cloud for moment in _MOMENTS if (cloud := _scattered(surfaces, frames, moment, center, radius)) is not None
-    ]
-    if not clouds:
-        return np.asarray(choices[np.argmax(choices @ _USUAL)])
-    seen = np.mean([[_seen(direction, trees, *cloud) for direction in choices] for cloud in clouds], axis=0)
-    return np.asarray(choices[np.argmax(seen + _PREFERENCE * choices @ _USUAL)])
+    span = float(frames.times[-1])
+    moments = [share * span for share in _MOMENTS] if touches is None else touches.moments(_SHARES)
+    score = _PREFERENCE * choices @ _USUAL
+    for moment in moments:
+        cloud = _scattered(surfaces, frames, moment, center, radius)
+        if cloud is not None:
+            score += [_seen(direction, trees, *cloud) / len(moments) for direction in choices]
+        if touches is not None and len(now := touches.at(moment)):
+            frame = int(np.argmin(np.abs(frames.times - moment)))
+            in_sight = np.exp(-covered(visuals, frames, frame, now.point, choices) / (_HIDING * radius))
+            score += _CONTACTS / len(moments) * (in_sight @ now.weight) / now.weight.sum()
+    return np.asarray(choices[np.argmax(score)])
 
 
 def _choices(extent: Array) -> Array:
@@ -73,11 +91,12 @@ def _scattered(
 
     Args:
         surfaces: joints, and points in their frames (k, 3) [m].
+        moment: time [s], of which the nearest frame is taken.
     """
-    points, joints = [], []
+    points, joints, frame = [], [], int(np.argmin(np.abs(frames.times - moment)))
     for joint, local in surfaces:
         poses = frames.poses[joint]
-        row = round(moment * (len(poses.position) - 1))
+        row = frame if poses.moves else 0
         turn = pin.Quaternion(poses.quaternion[row]).matrix()
         points.append((local @ turn.T + poses.position[row] - center) / radius)
         joints.append(np.full(len(local), joint))
@@ -91,12 +110,7 @@ def _scattered(
 
 def _seen(direction: Array, trees: Indices, points: Array, joints: Indices, moving: Indices) -> float:
     """Return the share of the moving bodies that is not hidden along a direction: the mean of the trees' means."""
-    side = np.cross([0.0, 0.0, 1.0], direction)
-    side /= np.linalg.norm(side)
-    up = np.cross(direction, side)
-    column = np.clip(((points @ side + 1.5) / 3.0 * _CELLS).astype(np.int64), 0, _CELLS - 1)
-    row = np.clip(((points @ up + 1.5) / 3.0 * _CELLS).astype(np.int64), 0, _CELLS - 1)
-    cell = row * _CELLS + column
+    cell = _cells(direction, points)
     owner = np.full(_CELLS * _CELLS, -1)
     order = np.argsort(points @ direction, kind="stable")
     owner[cell[order]] = joints[order]  # the nearest one is written last
@@ -110,6 +124,17 @@ def _seen(direction: Array, trees: Indices, points: Array, joints: Indices, movi
     present = present[alone[present] > 0]
     share = visible[present] / alone[present]
     return float(np.mean([share[trees[present] == tree].mean() for tree in np.unique(trees[present])]))
+
+
+def _cells(direction: Array, points: Array) -> Indices:
+    """Return the cell of the grid across a direction in which each point is, (n,)."""
+    side = np.cross([0.0, 0.0, 1.0], direction)
+    side /= np.linalg.norm(side)
+    up = np.cross(direction, side)
+    column, row = (
+        np.clip(((points @ axis + 1.5) / 3.0 * _CELLS).astype(np.int64), 0, _CELLS - 1) for axis in (side, up)
+    )
+    return np.asarray(row * _CELLS + column)
 
 
 def _surface(visual: Visual) -> Array:

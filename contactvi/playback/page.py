@@ -13,6 +13,7 @@ import importlib.util
 import json
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -31,7 +32,10 @@ from contactvi.playback.event_list import KINDS, Happened, happenings
 from contactvi.playback.framing import View, fit
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.shapes import shape_data
+from contactvi.playback.touches import Touches
 from contactvi.playback.visuals import SPRING_COLOR, STRING_COLOR, Visual
+from contactvi.records.codes import GuardKind
+from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.camera import Camera, camera_of, check_followed
 from contactvi.scene.scene import Scene
 from contactvi.status import Status
@@ -39,7 +43,7 @@ from contactvi.version import version
 
 Array = NDArray[np.float64]
 _LINES = {SPRING_COLOR: "green: springs", STRING_COLOR: "dark: strings and rods"}
-_SCRIPTS = ("data", "stage", "orbit", "signs", "player", "panels", "main")
+_SCRIPTS = ("data", "stage", "orbit", "signs", "labels", "player", "panels", "main")
 
 
 class Drawn(Protocol):
@@ -196,16 +200,18 @@ def bodies_of(run: Drawn) -> dict[str, int]:
 
 def _data(run: Run, frames: Frames, forces: bool, camera: Camera, moment: float | None) -> dict[str, Any]:
     """Return all that the page shows; moment [s] from the start as of `fit`."""
-    view = fit(run.visuals, frames, trees_of(run.scene.model), moment)
+    touches = Touches.of(run.contacts, float(run.t[0]))
+    view = fit(run.visuals, frames, trees_of(run.scene.model), moment, touches)
     joints = {joint: k for k, joint in enumerate(frames.poses)}
     contacts = contact_frames(run, run.t[0] + frames.times, view.size) if forces else None
-    events = event_data(run, float(run.t[0]))
+    colors = pair_colors(run.events, run.contacts)
+    events = event_data(run, float(run.t[0]), colors)
     return {
         "duration": float(frames.times[-1]),
         "times": packed(frames.times, "f8"),
         "bodies": [_body(run, joint, poses) for joint, poses in frames.poses.items()],
         "shapes": [shape_data(visual, k, joints) for k, visual in enumerate(run.visuals)],
-        "contacts": None if contacts is None else _contacts(contacts, float(run.t[0])),
+        "contacts": None if contacts is None else _contacts(contacts, run, colors),
         "events": events,
         "facts": _facts(run, float(frames.times[-1]), events["left_out"]),
         "view": view_data(view),
@@ -229,25 +235,31 @@ def _body(run: Run, joint: int, poses: Poses) -> dict[str, Any]:
     }
 
 
-def _contacts(found: ContactFrames, start: float) -> dict[str, Any]:
+def _contacts(found: ContactFrames, run: Run, colors: dict[tuple[str, str], str]) -> dict[str, Any]:
+    present, place = np.unique(found.pair, return_inverse=True)
+    labels = [run.events.label(int(GuardKind.CONTACT), int(pair)) for pair in present]
+    pairs = [label for label in colors if label in set(labels)]  # the strongest first
+    number = np.array([pairs.index(label) for label in labels])
     return {
-        "times": packed(found.times - start, "f8"),
+        "times": packed(found.times - float(run.t[0]), "f8"),
         "first": packed(found.first, "u4"),
         "point": packed(found.point, "f4"),
         "force": packed(found.force, "f4"),
         "mode": packed(found.mode, "u1"),
-        "pair": packed(np.searchsorted(np.unique(found.pair), found.pair), "u2"),
+        "pair": packed(number[place.reshape(-1)], "u2"),
+        "pairs": [{"name": " | ".join(name), "color": colors[name]} for name in pairs],
         "next": packed(found.next, "i4"),
         "full": found.full,
     }
 
 
-def event_data(run: Happened, start: float) -> dict[str, Any]:
-    """Return impacts and changes of contacts for the page, with times [s] from `start` on."""
+def event_data(run: Happened, start: float, colors: Mapping[tuple[str, str], str]) -> dict[str, Any]:
+    """Return impacts and changes of contacts for the page, with times [s] from `start` on, and colours of pairs."""
     found = happenings(run)
     return {
         "kinds": list(KINDS),
         "names": [list(pair) for pair in found.names],
+        "colors": [colors.get(pair) for pair in found.names],
         "time": packed(found.time - start, "f8"),
         "kind": packed(found.kind, "u1"),
         "name": packed(found.name, "u2"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.resources
-import io
 import json
 import os
 import shutil
@@ -21,6 +20,7 @@ from contactvi.inputs import flag, positive, real, short
 from contactvi.playback.browser import find_browser, pictures
 from contactvi.playback.page import Run, chosen_camera, make_html
 from contactvi.playback.picture_size import picture_size
+from contactvi.records.pair_colors import PAIR_COLORS
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -29,7 +29,7 @@ FORMATS = (".gif", ".mp4", ".png")
 MAX_FRAMES = 5000
 _COLORS = 255  # of a GIF
 _SAMPLES = 6  # pictures whose colours make the palette of a GIF
-_SIGNS = ((224, 67, 31), (30, 79, 191), (0, 114, 178), (230, 159, 0), (0, 158, 115))  # small, and not to be lost
+_SIGNS = ("#e0431f", "#0072b2", "#e69f00", "#009e73", *PAIR_COLORS)  # small, and not to be lost
 
 
 def render(
@@ -44,6 +44,9 @@ def render(
     start: float | None = None,
     end: float | None = None,
     forces: bool = True,
+    labels: bool = False,
+    transparent: bool = False,
+    dpi: float | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Draw a run into a file; return its path. Needs Chromium or Chrome, an MP4 ffmpeg too.
@@ -57,7 +60,12 @@ def render(
         fps: frames per second of a film; a GIF shows frames for whole hundredths of a second.
         speed: of a film, simulated seconds per second.
         start, end: times between which a film goes [s], by default those of the run.
-        forces: show the forces of contacts, and impacts.
+        forces: show the forces of contacts, in the colours of their pairs and with a scale, and impacts. What bodies
+            hide of an arrow is faint.
+        labels: write the names of the bodies; none covers another one.
+        transparent: a .png without a background; the ground is drawn.
+        dpi: pixels per inch that a .png says it has, by which programs that set text take its size; it changes no
+            pixel.
         overwrite: whether a file of this name is replaced.
 
     Raises:
@@ -75,15 +83,22 @@ def render(
     else:
         times = _times(first, last, start, end, fps, speed)
     chosen_camera(run, camera)  # what is wrong with it is told before a browser is looked for
-    forces = flag("forces", forces)
+    forces, labels, transparent = flag("forces", forces), flag("labels", labels), flag("transparent", transparent)
+    if kind != ".png" and (transparent or dpi is not None):
+        raise InputError(
+            "Option of a picture", name="transparent" if transparent else "dpi", expected="a .png for it",
+            got=short(file.name), remedy="Write a .png, or leave it out",
+        )  # fmt: skip
+    resolution = {} if dpi is None else {"dpi": (positive("dpi", dpi, "pixels per inch"),) * 2}
     find_browser()
     if kind == ".mp4":
         _find_ffmpeg()
     moment = float(times[0]) if kind == ".png" else None
-    frames = _Frames(run, camera, forces, width, height, speed, moment)
+    shown = {"forces": forces, "labels": labels, "transparent": transparent}
+    frames = _Frames(run, camera, shown, width, height, speed, moment)
     if kind == ".png":
         (picture,) = frames.draw(times)
-        return write_atomic(file, lambda out: picture.save(out, "PNG", optimize=True), overwrite)
+        return write_atomic(file, lambda out: picture.save(out, "PNG", optimize=True, **resolution), overwrite)
     if kind == ".gif":
         return write_atomic(file, lambda out: _write_gif(out, frames, times, fps), overwrite)
     return write_atomic(file, lambda out: _write_mp4(out, frames, times, fps), overwrite)
@@ -93,28 +108,30 @@ class _Frames:
     """The pictures of a run at given times."""
 
     def __init__(
-        self, run: Run, camera: Any, forces: bool, width: int, height: int, speed: float, moment: float | None
+        self, run: Run, camera: Any, shown: dict[str, bool], width: int, height: int, speed: float, moment: float | None
     ) -> None:
-        self.run, self.camera, self.forces, self.moment = run, camera, forces, moment
+        self.run, self.camera, self.shown, self.moment = run, camera, shown, moment
         self.width, self.height, self.speed = width, height, speed
 
     def draw(self, times: np.ndarray) -> Iterator[Image.Image]:
-        """Yield the pictures, drawn at twice the size and scaled down."""
+        """Yield the pictures. That of one time is drawn at twice the size and scaled down."""
         from PIL import Image
 
         job = {
             "times": (times - float(self.run.t[0])).tolist(),
-            "width": self.width, "height": self.height, "speed": self.speed, "forces": self.forces,
+            "width": self.width, "height": self.height, "speed": self.speed, "ratio": 1 if self.moment is None else 2,
+            **self.shown,
         }  # fmt: skip
         web = importlib.resources.files("contactvi.playback").joinpath("web", "render.js").read_text(encoding="utf-8")
         script = f"const job = {json.dumps(job, allow_nan=False)};\n{web}"
         page = make_html(
-            self.run, fps=200.0, play=False, forces=self.forces, camera=self.camera, script=script, moment=self.moment
-        )
+            self.run, fps=200.0, play=False, forces=self.shown["forces"], camera=self.camera, script=script,
+            moment=self.moment,
+        )  # fmt: skip
         size = self.width, self.height
         for data in pictures(page, len(times)):
-            with Image.open(io.BytesIO(data)) as picture:
-                yield picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+            picture = Image.frombytes("RGBA", size, data)
+            yield picture if self.shown["transparent"] else picture.convert("RGB")
 
 
 def _kind(file: Path, at: float | None) -> str:
@@ -153,7 +170,7 @@ def _write_gif(out: IO[bytes], frames: _Frames, times: np.ndarray, fps: float) -
 
     chosen = times[np.unique(np.linspace(0, len(times) - 1, _SAMPLES).astype(int))]
     drawn = frames.draw(np.concatenate([chosen, times]))
-    palette = _sheet([next(drawn) for _ in chosen]).quantize(_COLORS, kmeans=1)
+    palette = _sheet([next(drawn).reduce(2) for _ in chosen]).quantize(_COLORS, kmeans=1)
     first, *others = (frame.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE) for frame in drawn)
     ends = np.rint(np.arange(len(times) + 1) * 100.0 / fps).astype(int)  # [1/100 s]
     durations = np.maximum(10 * np.diff(ends), 20)  # shorter ones are shown slowly by most browsers

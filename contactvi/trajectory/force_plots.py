@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from contactvi.elements.element import WORLD
 from contactvi.records.codes import CHANGES, GuardKind
 from contactvi.records.contacts import ContactLog
+from contactvi.records.pair_colors import pair_colors
 from contactvi.trajectory.plot_layout import FIRST_COLORS, Instants, RunFigure, draw_curve, legend, panels
 from contactvi.trajectory.tables import friction_ratio
 from contactvi.trajectory.trajectory import Trajectory
@@ -62,9 +63,11 @@ def _draw_pairs(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> None
     drawn = touching[np.argsort(-size[touching], kind="stable")][:_MOST]
     ratio = friction_ratio(traj.scene, log)
     drawn_values: tuple[list[Array], list[Array]] = [], []
-    for k, pair in enumerate(drawn):
+    colors = pair_colors(traj.events, traj.contacts)
+    for pair in drawn:
         rows = np.flatnonzero(index == pair)
-        name, color = " | ".join(log.label(0, int(pair))), FIRST_COLORS[k]
+        label = log.label(int(GuardKind.CONTACT), int(pair))
+        name, color = " | ".join(label), colors[label]
         along = log.normal_impulse[rows, None] * log.array("normal")[rows]
         steps = _summed(log, rows, np.column_stack([log.normal_impulse[rows], log.impulse[rows] - along]))
         force = steps.impulse / steps.h[:, None]

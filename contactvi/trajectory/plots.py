@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
 from contactvi.importing.joint_kinds import joint_kind
-from contactvi.inputs import check_choice
+from contactvi.inputs import check_choice, flag, real
 from contactvi.records.codes import GuardKind
+from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory.force_plots import force_figure, span_of
 from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, legend, panels
@@ -59,7 +60,7 @@ def plot(traj: Trajectory) -> Figure:
     _draw_energy(axes[0], traj)
     _draw_error(axes[1], traj)
     if len(gap_pairs):
-        _draw_gaps(axes[2], gap_time, gap_pairs, gap)
+        _draw_gaps(axes[2], gap_time, gap_pairs, gap, pair_colors(traj.events, traj.contacts))
     return figure
 
 
@@ -101,24 +102,65 @@ def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
     return force_figure(traj, by)
 
 
-def save_plot(traj: Trajectory, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-    """Write the figure of `plot` as a PNG or SVG file, whole or not at all; return its path."""
-    return _save(plot(traj), path, overwrite)
+def save_plot(
+    traj: Trajectory,
+    path: str | os.PathLike[str],
+    overwrite: bool = False,
+    *,
+    dpi: float = 130.0,
+    transparent: bool = False,
+) -> Path:
+    """Write the figure of `plot` as an SVG, where the name ends in .svg, else as a PNG file; return its path.
+
+    The file is written whole or not at all.
+
+    Args:
+        path: ends with .png or .svg.
+        overwrite: whether a file of this name is replaced.
+        dpi: pixels per inch of a PNG; the figure is ten inches wide. In an SVG lines have no pixels, dots of force
+            plots have.
+        transparent: leave the background out.
+
+    Raises:
+        OverwriteError: there is such a file, without `overwrite`.
+        InputError: a bad argument.
+    """
+    return _save(plot(traj), path, overwrite, dpi, transparent)
 
 
-def save_state_plot(traj: Trajectory, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-    """Write the figure of `plot_states` as a PNG or SVG file, whole or not at all; return its path."""
-    return _save(plot_states(traj), path, overwrite)
+def save_state_plot(
+    traj: Trajectory,
+    path: str | os.PathLike[str],
+    overwrite: bool = False,
+    *,
+    dpi: float = 130.0,
+    transparent: bool = False,
+) -> Path:
+    """Write the figure of `plot_states` as that of `plot` by `save_plot`; return its path."""
+    return _save(plot_states(traj), path, overwrite, dpi, transparent)
 
 
-def save_force_plot(traj: Trajectory, path: str | os.PathLike[str], by: str = "pair", overwrite: bool = False) -> Path:
-    """Write the figure of `plot_forces` as a PNG or SVG file, whole or not at all; return its path."""
-    return _save(plot_forces(traj, by), path, overwrite)
+def save_force_plot(
+    traj: Trajectory,
+    path: str | os.PathLike[str],
+    by: str = "pair",
+    overwrite: bool = False,
+    *,
+    dpi: float = 130.0,
+    transparent: bool = False,
+) -> Path:
+    """Write the figure of `plot_forces` as that of `plot` by `save_plot`; return its path."""
+    return _save(plot_forces(traj, by), path, overwrite, dpi, transparent)
 
 
-def _save(figure: Figure, path: str | os.PathLike[str], overwrite: bool) -> Path:
+def _save(figure: Figure, path: str | os.PathLike[str], overwrite: bool, dpi: float, transparent: bool) -> Path:
     kind = "svg" if Path(path).suffix.lower() == ".svg" else "png"
-    return write_atomic(path, lambda file: figure.savefig(file, format=kind, dpi=130), overwrite)
+    dpi, transparent = (
+        real("dpi", dpi, 10.0, 2400.0, expected="10 to 2400 pixels per inch"),
+        flag("transparent", transparent),
+    )
+    style: dict[str, Any] = {"format": kind, "dpi": dpi, "transparent": transparent}
+    return write_atomic(path, lambda file: figure.savefig(file, **style), overwrite)
 
 
 def _impacts(traj: Trajectory) -> list[Instants]:
@@ -160,11 +202,20 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
     legend(axis)
 
 
-def _draw_gaps(axis: Axes, time: np.ndarray, pairs: list[tuple[str, str]], gap: np.ndarray) -> None:
-    order = np.argsort(gap.min(axis=0))[:_MAX_PAIRS]
+def _draw_gaps(
+    axis: Axes,
+    time: np.ndarray,
+    pairs: list[tuple[str, str]],
+    gap: np.ndarray,
+    colors: dict[tuple[str, str], str],
+) -> None:
+    ranked = list(colors)  # by impulse: the first ones have colours of their own
+    order = sorted(range(len(pairs)), key=lambda k: ranked.index(pairs[k]))[:_MAX_PAIRS]
     axis.axhline(0.0, color="black", lw=0.8)
-    more = f"{len(order)} of {len(pairs)} pairs that touched" if len(pairs) > len(order) else ""
-    draw_curves(axis, time, [(f"{pairs[k][0]} | {pairs[k][1]}", gap[:, k]) for k in order], more)
+    more = f"{len(order)} of {len(pairs)} pairs that touched, by impulse" if len(pairs) > len(order) else ""
+    for k in order:
+        draw_curve(axis, time, gap[:, k], " | ".join(pairs[k]), color=colors[pairs[k]], lw=1.1)
+    legend(axis, more)
     axis.set_ylabel("gap [m]")
 
 

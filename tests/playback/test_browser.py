@@ -193,21 +193,29 @@ def test_no_arrow_goes_out_while_its_contact_lasts(browser, tmp_path):
     assert set(counts) == {4}
 
 
-def test_arrows_are_never_hidden_by_bodies(browser, tmp_path):
-    """From below and from all sides the arrows of the box are in the picture, though the box is in front of some."""
+def test_what_bodies_hide_of_an_arrow_is_faint(browser, tmp_path):
+    """Arrows in front of the box have their colour; behind it and in it they are mixed with its own, and never gone."""
     open_page(browser, sliding_box(), tmp_path, play=False)
     set_slider(browser, 0.9)
     browser.execute_script("signs.shown.points = false; player.show();")
-    colored = []
-    for turn in (0.3, 1.3, 2.5, 4.0):
-        browser.execute_script("orbit.turn = arguments[0]; orbit.rise = 0.15; orbit.update();", turn)
-        with_box = is_color(picture(browser, tmp_path / "box.png"), (0x1E, 0x4F, 0xBF))
-        browser.execute_script("stage.bodies.forEach(body => { body.visible = false; });")
-        alone = is_color(picture(browser, tmp_path / "alone.png"), (0x1E, 0x4F, 0xBF))
-        browser.execute_script("stage.bodies.forEach(body => { body.visible = true; });")
-        colored.append((with_box & alone).sum() / alone.sum())
-        assert alone.sum() > 500
-    assert min(colored) > 0.99
+    color, opacity = browser.execute_script("return [source.pairs[0].color, FAINT]")
+    blue = tuple(int(color[k : k + 2], 16) for k in (1, 3, 5))
+    browser.execute_script("orbit.turn = 0.3; orbit.rise = 0.15; orbit.update();")
+    with_box = picture(browser, tmp_path / "box.png")
+    show = "signs.forces.meshes.forEach(({mesh}) => { mesh.visible = arguments[0]; });"
+    browser.execute_script(show, False)
+    without = picture(browser, tmp_path / "without.png")
+    browser.execute_script(show + "stage.bodies.forEach(body => { body.visible = false; });", True)
+    alone = is_color(picture(browser, tmp_path / "alone.png"), blue)
+    assert alone.sum() > 500
+    full = alone & is_color(with_box, blue)
+    hidden = alone & ~full
+    assert hidden.sum() > 200
+    assert full.sum() > 200
+    # Two faint layers at most, the shaft's and the head's, over the seam or the box: nearer to the arrow's colour.
+    change = np.abs(with_box - without)[hidden].max(axis=1)
+    assert np.quantile(change, 0.05) > 10
+    assert np.abs(with_box[hidden] - np.array(blue)).max(axis=1).mean() > 0.3 * (1 - opacity) * 255
 
 
 def test_contact_points_say_what_they_do(browser, tmp_path):
@@ -407,6 +415,72 @@ def test_labels(browser, ball, tmp_path):
     assert [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2] == pytest.approx([x, y], abs=2.0)
     press(browser, "l")
     assert browser.find_elements("class name", "label") == []
+
+
+def heap_of_boxes() -> cvi.Trajectory:
+    """Thirty boxes beside and behind each other: their names would cover each other."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    for k in range(30):
+        x, y = 0.06 * (k % 6), 0.06 * (k // 6)
+        scene.add_box(f"box_number_{k}", (0.05, 0.05, 0.05), mass=1.0, placement=(x, y, 0.025))
+    scene.set_contact(restitution=0.0, friction=0.5)
+    return cvi.simulate(scene, duration=0.02, dt=1e-2)
+
+
+def test_labels_do_not_overlap(browser, tmp_path):
+    """Seen from every side their boxes are disjoint, and those beside their bodies have lines to them."""
+    open_page(browser, heap_of_boxes(), tmp_path, play=False)
+    press(browser, "l")
+    for turn in (0.0, 0.8, 2.0):
+        browser.execute_script("orbit.turn = arguments[0]; orbit.rise = 0.2; orbit.update();", turn)
+        picture(browser, tmp_path / "labels.png")
+        boxes = np.array(browser.execute_script(
+            "return labels.elements.filter(label => label.style.visibility !== 'hidden').map(label => {"
+            " const box = label.getBoundingClientRect(); return [box.left, box.top, box.right, box.bottom]; });"
+        ))  # fmt: skip
+        assert len(boxes) == 30
+        for k, one in enumerate(boxes):
+            others = boxes[k + 1 :]
+            apart = (others[:, :2] >= one[2:]).any(axis=1) | (others[:, 2:] <= one[:2]).any(axis=1)
+            assert apart.all()
+        leaders = browser.execute_script("return labels.lines.firstChild.getAttribute('d')").count("M")
+        assert 1 <= leaders <= 30
+    assert errors(browser) == []
+
+
+def test_words_of_events_are_wrapped(browser, tmp_path):
+    """Names that are longer than a row is wide are there in full, and rows do not cover each other."""
+    scene, long = cvi.Scene(), "a_ball_with_a_name_that_is_much_longer_than_names_of_balls_are"
+    scene.add_halfspace(name="the_ground_on_which_everything_in_this_scene_falls_down")
+    scene.add_sphere(long, 0.1, mass=1.0, placement=(0.0, 0.0, 0.5))
+    scene.set_contact(restitution=0.5)
+    open_page(browser, cvi.simulate(scene, duration=1.0, dt=1e-2), tmp_path, play=False)
+    press(browser, "e")
+    rows = browser.execute_script(
+        "return [...document.querySelectorAll('#rows button')].map(row => [row.offsetTop, row.offsetHeight,"
+        " row.scrollHeight, row.scrollWidth, row.clientWidth, row.innerText.replace(/\\n/g, '')]);"
+    )
+    assert len(rows) >= 2
+    for _, height, inner, wide, width, text in rows:
+        assert inner <= height
+        assert wide <= width
+        assert long in text
+    tops = [row[0] for row in rows]
+    assert np.all(np.diff(tops) >= rows[0][1])
+    assert errors(browser) == []
+
+
+def test_a_pair_has_one_colour_in_the_page_and_in_plots(browser, tmp_path):
+    run = heap_of_boxes()
+    open_page(browser, run, tmp_path, play=False)
+    shown = {pair["name"]: pair["color"] for pair in browser.execute_script("return source.pairs")}
+    figures = (cvi.plot_forces(run), cvi.plot(run))
+    lines = [line for figure in figures for axis in figure.axes for line in axis.lines]
+    drawn = [(line.get_label(), line.get_color()) for line in lines if " | " in str(line.get_label())]
+    assert len(drawn) >= 12  # six pairs in each figure
+    assert all(shown[name] == color for name, color in drawn)
+    assert len(set(drawn)) == len({color for _, color in drawn})  # those that are drawn differ
 
 
 @pytest.mark.parametrize("width", [1280, 500, 360])

@@ -20,6 +20,7 @@ from contactvi.playback import animation, event_list, framing, shapes, visuals
 from contactvi.playback.event_list import KINDS, happenings
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.page import make_html
+from contactvi.playback.touches import Touches
 from helpers.playback_data import PageEvents, run_data, unpacked
 from helpers.run_scenes import RADIUS, ball_scene, hand_scene
 
@@ -322,6 +323,77 @@ def test_the_open_side_shows_what_lies_in_a_bowl():
         toward = view_of(traj).direction
         ahead, aside = toward[:2] @ side, np.linalg.norm([toward[:2] @ [-side[1], side[0]], toward[2]])
         assert ahead <= 0.0 or 0.3 * aside / ahead > 0.6  # the way to the camera passes beside the screen
+
+
+def touching_view(traj, moment=None):
+    touches = Touches.of(traj.contacts, float(traj.t[0]))
+    frames = animation.frames_of(traj, 60.0)
+    return framing.fit(traj.visuals, frames, trees_of(traj.scene.model), moment, touches), touches
+
+
+def behind_a_screen(x: float, y: float) -> cvi.Trajectory:
+    """A ball that lies on a shelf, close behind an upright plate."""
+    scene = cvi.Scene()
+    side = np.array([x, y]) / math.hypot(x, y)
+    scene.add_sphere("ball", 0.05, placement=(0.0, 0.0, 0.05))
+    scene.add_box("shelf", (1.0, 1.0, 0.02), free=False, placement=(0.0, 0.0, -0.01))
+    scene.add_box(
+        "screen", (0.02, 1.0, 0.6), free=False,
+        placement=((0.2 * side[0], 0.2 * side[1], 0.31), (0, 0, math.atan2(y, x))),
+    )  # fmt: skip
+    scene.set_contact(restitution=0.0, friction=0.5)
+    return cvi.simulate(scene, duration=0.2, dt=1e-2)
+
+
+@pytest.mark.parametrize(("x", "y"), [(1.0, -0.75), (-1.0, 0.75), (0.0, 1.0), (1.0, 0.0)])
+def test_contacts_are_in_sight(x, y):
+    """No plate stands between the contact and the camera."""
+    view, _ = touching_view(behind_a_screen(x, y))
+    side = np.array([x, y]) / math.hypot(x, y)
+    ahead, aside = view.direction[:2] @ side, abs(view.direction[:2] @ [-side[1], side[0]])
+    # Where the way to the camera comes to the plate, 0.2 m ahead, it is beside it or above it.
+    hit = 0.2 / ahead if ahead > 0.0 else np.inf
+    assert hit * aside > 0.5 or hit * view.direction[2] > 0.61
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.7, 0.4), (0.0, -1e-3, 1.0)])
+def test_contacts_are_in_the_middle_half_of_the_picture(direction):
+    """A box that slides far beside a tower: seen from any side, the impulse's mean is in the middle half."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("box", (0.1, 0.1, 0.05), mass=1.0, placement=(0.0, 0.0, 0.025))
+    scene.add_box("tower", (0.1, 0.1, 1.5), free=False, placement=(0.9, 0.4, 0.75))
+    scene.disable_pair("box", "tower")
+    scene.set_contact(restitution=0.0, friction=0.5)
+    view, touches = touching_view(cvi.simulate(scene, duration=0.2, dt=1e-2))
+    assert touches.center() == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+    away = np.array(direction) / np.linalg.norm(direction)
+    side = np.cross([0.0, 0.0, 1.0], away)
+    for axis in (side / np.linalg.norm(side), np.cross(away, side / np.linalg.norm(side))):
+        low, high = (view.outline @ axis).min(), (view.outline @ axis).max()
+        place = (touches.center() @ axis - low) / (high - low)
+        assert 0.24 <= place <= 0.76
+    corners = np.array([(0.9 + a, 0.4 + b, 1.5) for a in (-0.05, 0.05) for b in (-0.05, 0.05)])
+    for corner in corners:  # and nothing that was in the picture is lost
+        assert (view.outline @ away).max() >= corner @ away - 0.01 * view.radius
+
+
+def test_the_picture_of_a_moment_is_that_of_its_contacts():
+    traj = behind_a_screen(1.0, 0.0)
+    view, touches = touching_view(traj, 0.1)
+    now = touches.at(0.1)
+    assert 1 <= len(now) < len(touches)
+    assert now.center() == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+    assert view.direction[0] < 0.5
+
+
+def test_a_run_without_contacts_has_the_view_of_its_motion(ball):
+    scene = ball_scene()
+    traj = cvi.simulate(scene, duration=0.1, dt=1e-2)
+    view, touches = touching_view(traj)
+    assert len(touches) == 0
+    assert view.direction == pytest.approx(view_of(traj).direction)
+    np.testing.assert_array_equal(view.outline, view_of(traj).outline)
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------

@@ -54,6 +54,10 @@ def program(folder: Path, name: str, text: str) -> None:
         ("a.gif", {"speed": 1e-4}, "at most 5000 frames"),
         ("a.gif", {"camera": "bottom"}, "camera|Camera"),
         ("a.gif", {"forces": 1}, "forces"),
+        ("a.gif", {"labels": 1}, "labels"),
+        ("a.gif", {"transparent": True}, "a .png for it"),
+        ("a.mp4", {"dpi": 300}, "a .png for it"),
+        ("a.png", {"at": 0.5, "dpi": 0}, "dpi"),
     ],
 )
 def test_bad_arguments(ball, tmp_path, monkeypatch, name, options, match):
@@ -204,7 +208,9 @@ def test_pictures_tell_how_long_a_newton_is(tmp_path):
     with Image.open(file) as image:
         pixels = np.asarray(image.convert("RGB")).astype(int)
     blue = np.abs(pixels - (0x1E, 0x4F, 0xBF)).max(axis=2) < 60
-    scale_length = np.ptp(np.flatnonzero(blue[:, :200].any(axis=0))) + 1
+    ink = np.abs(pixels - (0x1D, 0x27, 0x33)).max(axis=2) < 60  # of the scale, whose words are on the right of it
+    row = ink[460:468, :200].sum(axis=1).argmax() + 460
+    scale_length = np.flatnonzero(np.diff(np.flatnonzero(ink[row, :200]), append=1000) > 1)[0] + 1
     grey = np.abs(pixels[:, 310:330] - 0x8C).max(axis=2) < 6  # the point from which the force's arrow starts
     arrow_length = np.flatnonzero(grey.any(axis=1)).mean() - np.flatnonzero(blue[:, 300:340].any(axis=1))[0]
     newtons = 3.0 * 9.81 * scale_length / arrow_length
@@ -212,6 +218,40 @@ def test_pictures_tell_how_long_a_newton_is(tmp_path):
     nearest = known[np.argmin(np.abs(np.log(known / newtons)))]
     assert newtons == pytest.approx(nearest, rel=0.1)  # the ball is not just at the target, and pixels are whole
     assert 0.06 * 640 < scale_length < 0.17 * 640
+
+
+@pytest.mark.browser
+def test_a_picture_without_background(falling, tmp_path):
+    """Nothing is where the sky was, the ball is as it was; and the file says how many pixels an inch has."""
+    options = {"at": 0.2, "size": "160x120", "camera": "side"}
+    file = falling.render(tmp_path / "a.png", transparent=True, dpi=300, **options)
+    with Image.open(file) as image:
+        assert image.mode == "RGBA"
+        assert image.info["dpi"] == pytest.approx((300, 300), abs=0.1)
+        pixels = np.asarray(image)
+    with Image.open(falling.render(tmp_path / "b.png", **options)) as image:
+        assert image.mode == "RGB"
+        plain = np.asarray(image)
+    ball = green(plain)
+    inner = ball & np.roll(ball, 2, 0) & np.roll(ball, -2, 0) & np.roll(ball, 2, 1) & np.roll(ball, -2, 1)
+    assert inner.sum() > 100
+    assert pixels[inner, 3].min() == 255
+    assert np.abs(pixels[inner, :3].astype(int) - plain[inner]).max() <= 3
+    assert pixels[2, 2, 3] == 0
+
+
+@pytest.mark.browser
+def test_names_are_written_on_wish(falling, tmp_path):
+    shown = []
+    for labels in (True, False):
+        file = falling.render(tmp_path / f"{labels}.png", at=0.2, size=(320, 240), labels=labels, forces=False)
+        with Image.open(file) as image:
+            shown.append(np.asarray(image.convert("RGB")).astype(int))
+    changed = np.argwhere(np.abs(shown[0] - shown[1]).max(axis=2) > 60)
+    assert len(changed) > 50
+    low, high = changed.min(axis=0), changed.max(axis=0)
+    assert np.all(high - low < (24, 60))  # one word
+    assert 0.5 * (low + high) == pytest.approx([119.5, 159.5], abs=12)  # at the ball, to which the picture fits
 
 
 @pytest.mark.browser

@@ -7,6 +7,7 @@ const THREE = MeshCat.THREE;
 //   shapes                 what is drawn on them, constant;
 //   pose(body, t, position, quaternion)   writes where a body is;
 //   contacts(t, add)       calls add(point, force, mode, pair) for every contact point, with vectors that it uses again;
+//   pairs                  [{name, color}] of the forces, the strongest first; pair(number) is that of a contact;
 //   fullForce              [N] the force whose arrow has the full length; null without contacts;
 //   modes                  the numbers of the modes that occur;
 //   events                 an EventList.
@@ -35,14 +36,15 @@ function lastNotAbove(values, value) {
 
 class EventList {
   // columns: time, kind, name, count, impulse, before, after, point, direction, drawn.
-  constructor(kinds, names, columns) {
-    Object.assign(this, {kinds, names}, columns);
+  // colors: of the pairs among the names, else null.
+  constructor(kinds, names, colors, columns) {
+    Object.assign(this, {kinds, names, colors}, columns);
     this.measure();
   }
 
   static of(data) {
     const columns = Object.entries(data).filter(([, entry]) => entry.data !== undefined);
-    return new EventList(data.kinds, data.names, Object.fromEntries(columns.map(([name, entry]) => [name, unpack(entry)])));
+    return new EventList(data.kinds, data.names, data.colors, Object.fromEntries(columns.map(([name, entry]) => [name, unpack(entry)])));
   }
 
   measure() { this.strongest = this.impulse.reduce((most, impulse) => Math.max(most, impulse), 0); }
@@ -55,6 +57,8 @@ class EventList {
     const kind = this.kinds[this.kind[k]];
     return {limit: "impact at limit", zeno: "bouncing ended (Zeno)"}[kind] || kind;
   }
+
+  color(k) { return this.colors[this.name[k]]; }
 
   label(k) { return this.names[this.name[k]].join(" | "); }
 
@@ -91,6 +95,7 @@ class Recording {
     this.paths = run.bodies.map(body => ({position: unpack(body.position), quaternion: unpack(body.quaternion)}));
     this.rows = this.fullForce = null;
     this.modes = [];
+    this.pairs = run.contacts ? run.contacts.pairs : [];
     if (run.contacts) {
       this.rows = {};
       this.fullForce = run.contacts.full;
@@ -102,6 +107,8 @@ class Recording {
     }
     this.other = [new THREE.Vector3(), new THREE.Quaternion()];
   }
+
+  pair(number) { return this.pairs[number]; }
 
   // Frame before t and the share of the way to the next one.
   locate(times, t) {

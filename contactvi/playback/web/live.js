@@ -10,15 +10,18 @@ const EVENT_FIELDS = {time: 1, kind: 1, name: 1, count: 1, impulse: 1, before: 1
 // A list of events that grows at its end and forgets at its start.
 class GrowingEvents extends EventList {
   constructor(kinds) {
-    super(kinds, [], Object.fromEntries(Object.keys(EVENT_FIELDS).map(name => [name, []])));
+    super(kinds, [], [], Object.fromEntries(Object.keys(EVENT_FIELDS).map(name => [name, []])));
     this.places = new Map();  // of names
     this.added = this.dropped = 0;  // how many there were
   }
 
   add(data) {
-    const places = data.names.map(pair => {
+    const places = data.names.map((pair, place) => {
       const key = JSON.stringify(pair);
-      if (!this.places.has(key)) { this.places.set(key, this.names.push(pair) - 1); }
+      if (!this.places.has(key)) {
+        this.places.set(key, this.names.push(pair) - 1);
+        this.colors.push(data.colors[place]);
+      }
       return this.places.get(key);
     });
     for (const name of Object.keys(EVENT_FIELDS)) {
@@ -48,6 +51,8 @@ class LiveSource {
     this.events = new GrowingEvents(run.live.kinds);
     this.fullForce = null;  // until there was a force
     this.modes = [];
+    this.pairs = [];  // the legend names none: they come and go
+    this.colors = {};
     this.count = 0;  // of all frames that came
     this.run = null;
     this.scratch = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3(), new THREE.Quaternion()];
@@ -55,6 +60,8 @@ class LiveSource {
     this.keep({t: run.first.t, pose: unpack(run.first.pose), contacts: null});
     this.provisional = true;  // the picture of the start, until frames come
   }
+
+  pair(number) { return {color: this.colors[number]}; }
 
   get start() { return this.times[0]; }
 
@@ -100,7 +107,8 @@ class LiveSource {
   }
 
   // Points and forces, three numbers each; mode, pair, number of the point and places of its two bodies.
-  unpackContacts({vectors, numbers}) {
+  unpackContacts({vectors, numbers, colors}) {
+    Object.assign(this.colors, colors);
     const reals = unpack(vectors), whole = unpack(numbers), count = whole.length / 5;
     const found = {point: new Float32Array(3 * count), force: new Float32Array(3 * count), mode: new Uint8Array(count),
       pair: new Uint32Array(count), number: new Uint32Array(count), carriers: new Int32Array(2 * count),

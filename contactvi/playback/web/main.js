@@ -13,6 +13,7 @@ try {
 }
 const orbit = new Orbit(stage, run.camera);
 const signs = new Signs(stage, source);
+const labels = new Labels(stage);
 const player = new (run.live ? LivePlayer : Player)(stage, orbit, signs, source);
 player.seek(source.start);
 const panels = new Panels(player, run);

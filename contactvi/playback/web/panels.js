@@ -4,7 +4,7 @@ const element = id => document.getElementById(id);
 const EVENT_COLORS = {impact: "#e0431f", limit: "#8a5fc2", begin: "#2f7d4f", release: "#7c8794", stick: "#0072b2",
   slip: "#e69f00", zeno: "#111111", inconsistent: "#d0006f", overlap: "#b00000"};
 const ICONS = {play: "M4 2.5v11l9-5.5z", pause: "M3.5 2.5h3v11h-3zM9.5 2.5h3v11h-3z"};
-const ROW = 40;  // [px] of the list
+const NAMED = 4;  // pairs in the legend
 
 function make(tag, text, parent, settings) {
   const made = Object.assign(document.createElement(tag), settings);
@@ -61,7 +61,7 @@ class Panels {
   }
 
   buttons() {
-    const {player} = this, {signs, stage} = player;
+    const {player} = this, {signs} = player;
     element("live").hidden = !player.source.live;
     element("live").addEventListener("click", () => player.follow());
     element("time").addEventListener("input", event => {
@@ -82,7 +82,7 @@ class Panels {
     this.switches = {};
     this.addSwitch("forces", signs.shown.forces, on => { signs.shown.forces = signs.shown.impacts = on; player.show(); });
     this.addSwitch("points", true, on => { signs.shown.points = on; player.show(); });
-    this.addSwitch("labels", false, on => stage.showLabels(on));
+    this.addSwitch("labels", false, on => labels.show(on));
     this.addSwitch("listed", false, on => { element("events").hidden = !on; if (on) { this.list.open(); } });
     this.addSwitch("keys", false, on => { element("help").hidden = !on; });
   }
@@ -119,10 +119,10 @@ class Panels {
   legend() {
     const {signs, source} = this.player, box = element("legend");
     box.textContent = "";
-    const row = make("div", "", box), points = make("div", "", box);
+    const row = make("div", "", box), pairs = make("div", "", box), points = make("div", "", box);
     if (source.fullForce !== null) {
       const entry = make("span", "", row);
-      make("i", "", entry, {className: "arrow"}).style.background = css(FORCE_COLOR);
+      make("i", "", entry, {className: "arrow"}).style.background = INK;
       this.measure = make("span", "", entry);
       const slider = make("input", "", make("label", "", row), {type: "range", id: "scale", min: -1, max: 1,
         step: "any", value: Math.log10(signs.scale), title: "Length of the arrows"});
@@ -138,6 +138,12 @@ class Panels {
       entry.prepend(make("i", "", entry, {className: "arrow"}));
       entry.firstChild.style.background = css(IMPACT_COLOR);
     }
+    for (const {name, color} of source.fullForce === null ? [] : source.pairs.slice(0, NAMED)) {
+      const entry = make("span", "", pairs);
+      make("i", "", entry, {className: "arrow"}).style.background = color;
+      make("span", name, entry, {className: "pair", title: name});
+    }
+    if (source.pairs.length > NAMED) { make("span", `${source.pairs.length - NAMED} more pairs`, pairs); }
     const present = source.modes.map(mode => MODES[mode]);
     for (const mode of Object.keys(MODE_COLORS).filter(mode => present.includes(mode))) {
       const entry = make("span", mode, points);
@@ -146,6 +152,7 @@ class Panels {
     }
     this.legendShown = () => {
       row.style.display = signs.shown.forces && row.children.length ? "" : "none";
+      pairs.style.display = signs.shown.forces && pairs.children.length ? "" : "none";
       points.style.display = signs.shown.points && points.children.length ? "" : "none";
       box.style.display = row.style.display && points.style.display ? "none" : "";
       if (this.measure) { this.measure.textContent = "force " + scaleWords(signs.perNewton * signs.scale, this.player.stage.view.size); }
@@ -158,7 +165,7 @@ class Panels {
   // What the legend speaks of.
   explains() {
     const {source} = this.player;
-    return [this.events.strongest > 0, source.fullForce !== null, ...source.modes].join();
+    return [this.events.strongest > 0, source.fullForce !== null, source.pairs.length, ...source.modes].join();
   }
 
   // Follow a source that has grown.
@@ -211,17 +218,19 @@ class Panels {
   }
 }
 
-// The list: only the rows in sight are elements of the page.
+// The list: only the rows in sight are elements of the page. Words are wrapped, and all rows are as high as the longest
+// ones need.
 class EventPanel {
   constructor(player, changed) {
     Object.assign(this, {player, changed, events: player.source.events});
     this.kinds = new Set(this.events.kinds);
+    this.row = 40;  // [px] height of a row
     this.boxes = new Map();  // kind -> the words beside its box
     this.count();
     element("threshold").value = 0.6;  // a hundredth of the strongest
     element("threshold").addEventListener("input", () => this.choose());
     element("list").addEventListener("scroll", () => this.fill());
-    new ResizeObserver(() => this.fill()).observe(element("list"));
+    new ResizeObserver(() => { this.measure(); this.fill(); }).observe(element("list"));
     this.choose();
   }
 
@@ -272,13 +281,43 @@ class EventPanel {
     const above = player.chosen.filter(k => events.isImpact(k)).length;
     element("least").firstChild.textContent = least > 0
       ? `impacts from ${short(least)} N s on: ${above} of ${this.impacts}` : `all ${this.impacts} impacts`;
-    element("rows").style.height = ROW * player.chosen.length + "px";
+    this.measure();
     this.changed();
     this.fill();
     player.show();
   }
 
+  // Find the height of the rows, by the longest names with the longest words that an event may have.
+  measure() {
+    const {events} = this, rows = element("rows"), before = this.row;
+    const labels = events.names.map((_, place) => place).sort((a, b) => words(b).length - words(a).length).slice(0, 5);
+    function words(place) { return events.names[place].join(" | "); }
+    const detail = this.impacts ? "impulse 0.000888 N s, speed -0.000888 to 0.000888 m/s" : "88 points";
+    const tallest = Math.max(...labels.map(place => {
+      const row = this.add(rows, "", "impact", "0.888888 s", words(place), detail, events.colors[place]);
+      const height = row.offsetHeight;
+      row.remove();
+      return height;
+    }), 0);
+    if (tallest > 0) { this.row = Math.max(40, tallest); }
+    if (this.row !== before) { this.filled = this.now = undefined; }
+    rows.style.height = this.row * this.player.chosen.length + "px";
+  }
+
+  // Add a row: what happened, when, to which pair, which has its colour in all plots.
+  add(rows, color, word, time, label, detail, pair) {
+    const row = make("button", "", rows), line = make("span", "", row);
+    make("i", "", line).style.background = color;
+    make("b", word, line);
+    make("em", time, line);
+    const small = make("small", [label, detail].filter(text => text).join(" \u00b7 "), row);
+    if (pair) { small.prepend(Object.assign(document.createElement("i"), {className: "pair"})); }
+    if (pair) { small.firstChild.style.background = pair; }
+    return row;
+  }
+
   open() {
+    this.measure();
     this.fill();
     this.now = undefined;
     this.show();
@@ -286,19 +325,17 @@ class EventPanel {
 
   fill() {
     const list = element("list"), rows = element("rows"), {chosen} = this.player, {events} = this;
-    const from = Math.max(0, Math.floor(list.scrollTop / ROW) - 4);
-    const to = list.clientHeight > 0 ? Math.min(chosen.length, from + Math.ceil(list.clientHeight / ROW) + 8) : from;
+    const from = Math.max(0, Math.floor(list.scrollTop / this.row) - 4);
+    const to = list.clientHeight > 0 ? Math.min(chosen.length, from + Math.ceil(list.clientHeight / this.row) + 8) : from;
     if (this.filled && this.filled[0] === chosen && this.filled[1] === from && this.filled[2] === to) { return; }
     this.filled = [chosen, from, to];
     rows.textContent = "";
     this.shown = new Map();
     for (let place = from; place < to; ++place) {
-      const k = chosen[place], row = make("button", "", rows), line = make("span", "", row);
-      row.style.top = ROW * place + "px";
-      make("i", "", line).style.background = EVENT_COLORS[events.kinds[events.kind[k]]];
-      make("b", events.word(k), line);
-      make("em", events.time[k].toPrecision(6) + " s", line);
-      make("small", [events.label(k), events.detail(k)].filter(text => text).join(" · "), row, {title: events.label(k)});
+      const k = chosen[place], row = this.add(rows, EVENT_COLORS[events.kinds[events.kind[k]]], events.word(k),
+        events.time[k].toPrecision(6) + " s", events.label(k), events.detail(k), events.color(k));
+      row.style.top = this.row * place + "px";
+      row.style.height = this.row + "px";
       row.addEventListener("click", () => { this.player.pause(); this.player.seek(events.time[k]); });
       this.shown.set(place, row);
     }
@@ -310,8 +347,8 @@ class EventPanel {
     const now = lastNotAbove(this.times(), this.player.time + 1e-9);
     if (now === this.now) { return; }
     this.now = now;
-    const list = element("list"), top = ROW * now;
-    if (now >= 0 && list.clientHeight > 0 && (top < list.scrollTop || top > list.scrollTop + list.clientHeight - ROW)) {
+    const list = element("list"), top = this.row * now;
+    if (now >= 0 && list.clientHeight > 0 && (top < list.scrollTop || top > list.scrollTop + list.clientHeight - this.row)) {
       list.scrollTop = top - list.clientHeight / 3;
     }
     this.mark();

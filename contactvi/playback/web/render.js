@@ -7,6 +7,9 @@ window.addEventListener("load", () => draw().catch(failed));
 async function draw() {
   document.body.classList.add("bare");
   Object.assign(stage.pane.style, {width: job.width + "px", height: job.height + "px"});
+  stage.renderer.domElement.style.visibility = "hidden";  // so that the browser does not draw it, too
+  stage.renderer.setPixelRatio(job.ratio);
+  if (job.transparent) { stage.renderer.setClearColor(BACKGROUND, 0); }
   player.pause();
   player.speed = job.speed;
   signs.shown.impacts = job.forces;
@@ -15,32 +18,38 @@ async function draw() {
   for (const time of job.times) {
     player.seek(time);
     stage.render();
-    const picture = await new Promise(done => signed(stage.renderer.domElement).toBlob(done));
-    await fetch("frame", {method: "POST", body: picture});
+    await fetch("frame", {method: "POST", body: finished(stage.renderer.domElement)});
   }
 }
 
-// The picture with a scale of the forces, where the run has some: an arrow of a round number of newtons.
-function signed(drawn) {
-  if (!job.forces || signs.source.fullForce === null || !signs.shown.forces) { return drawn; }
-  const half = Math.tan(stage.camera.fov * Math.PI / 360), ratio = drawn.height / job.height;
-  const perNewton = signs.perNewton * signs.scale * drawn.height / (2 * orbit.distance * half);  // [pixels/N] at the target
-  const newtons = roundBelow(0.16 * drawn.width / perNewton), length = newtons * perNewton;
-  const canvas = Object.assign(document.createElement("canvas"), {width: drawn.width, height: drawn.height});
-  const pen = canvas.getContext("2d"), left = 14 * ratio, y = drawn.height - 16 * ratio, head = 7 * ratio;
-  pen.drawImage(drawn, 0, 0);
-  pen.fillStyle = "#1e4fbf";
-  pen.fillRect(left, y - 1.2 * ratio, length - head, 2.4 * ratio);
+// The pixels of the picture at its own size, four bytes each, with what is written on it.
+const canvas = document.createElement("canvas");
+function finished(drawn) {
+  Object.assign(canvas, {width: job.width, height: job.height});
+  const pen = canvas.getContext("2d", {willReadFrequently: true});
+  pen.imageSmoothingQuality = "high";
+  pen.drawImage(drawn, 0, 0, job.width, job.height);
+  if (job.labels) { labels.drawInto(pen, 1); }
+  if (job.forces && signs.source.fullForce !== null && signs.shown.forces) { drawScale(pen); }
+  return pen.getImageData(0, 0, job.width, job.height).data;
+}
+
+// A scale of the forces: an arrow of a round number of newtons, as long as it is at the target.
+function drawScale(pen) {
+  const half = Math.tan(stage.camera.fov * Math.PI / 360);
+  const perNewton = signs.perNewton * signs.scale * job.height / (2 * orbit.distance * half);  // [pixels/N]
+  const newtons = roundBelow(0.16 * job.width / perNewton), length = newtons * perNewton;
+  const left = 14, y = job.height - 16, head = 7;
+  pen.fillStyle = INK;
+  pen.fillRect(left, y - 1.2, length - head, 2.4);
   pen.beginPath();
   pen.moveTo(left + length, y);
-  pen.lineTo(left + length - head, y - 3.5 * ratio);
-  pen.lineTo(left + length - head, y + 3.5 * ratio);
+  pen.lineTo(left + length - head, y - 3.5);
+  pen.lineTo(left + length - head, y + 3.5);
   pen.fill();
-  pen.fillStyle = "#1d2733";
-  pen.font = `${12 * ratio}px "DejaVu Sans", sans-serif`;
+  pen.font = '12px "DejaVu Sans", sans-serif';
   pen.textBaseline = "middle";
-  pen.fillText(`${newtons} N`, left + length + 6 * ratio, y);
-  return canvas;
+  pen.fillText(`${newtons} N`, left + length + 6, y);
 }
 
 // The largest of 1, 2, 5, 10, 20, ... that is not above a number.

@@ -1,19 +1,22 @@
-// Signs of contact: arrows of forces and impulses, points by what they do. Bodies never hide them. However many there
-// are, they take six drawing calls.
+// Signs of contact: arrows of forces in the colours of their pairs, of impulses, and points by what they do. What bodies
+// hide of an arrow is faint; they never hide points. However many there are, they take ten drawing calls.
 
-const FORCE_COLOR = 0x1e4fbf, IMPACT_COLOR = 0xe0431f;
+const IMPACT_COLOR = 0xe0431f, INK = "#1d2733";
 const MODE_COLORS = {stick: 0x0072b2, slip: 0xe69f00, roll: 0x009e73, frictionless: 0x8c8c8c};
 const ARROW_LENGTH = 0.4;  // of the size of the bodies, for the full force
+const FAINT = 0.45;  // opacity of what is behind bodies
 const AFTERGLOW = 0.25;  // [s] of viewing for which an impact is shown
 
-// Arrows of one colour with a light seam, which sets them off against dark bodies.
+// Arrows with a light seam, which sets them off against dark bodies: faint without regard to what is before them, and
+// over that as far as they are seen.
 class Arrows {
-  constructor(scene, color, thick, order) {
+  constructor(scene, thick, order) {
     this.scene = scene;
     this.thick = thick;  // [m] radius of a shaft
     this.count = 0;
     this.meshes = [];
-    this.kinds = [[0xffffff, 1.7, order], [color, 1, order + 1]];
+    this.kinds = [[false, FAINT, 1.7], [false, FAINT, 1], [true, 1, 1.7], [true, 1, 1]]
+      .map(([behind, opacity, wide], k) => ({behind, opacity, wide, order: order + k}));
     this.parts = {
       shaft: new THREE.CylinderGeometry(1, 1, 1, 12).rotateX(Math.PI / 2).translate(0, 0, 0.5),
       head: new THREE.CylinderGeometry(0, 1, 1, 16).rotateX(Math.PI / 2).translate(0, 0, 0.5)};
@@ -29,26 +32,29 @@ class Arrows {
       mesh.dispose();
     }
     this.capacity = capacity;
-    this.meshes = this.kinds.flatMap(([color, wide, order]) => Object.entries(this.parts).map(([part, geometry]) => {
-      const material = new THREE.MeshBasicMaterial({color: new THREE.Color(color).convertSRGBToLinear(),
-        transparent: true, depthTest: false, depthWrite: false});
+    const kinds = this.kinds.flatMap(kind => Object.entries(this.parts).map(part => [kind, part]));
+    this.meshes = kinds.map(([{behind, opacity, wide, order}, [part, geometry]]) => {
+      const material = new THREE.MeshBasicMaterial({transparent: true, opacity, depthTest: behind, depthWrite: false});
       const mesh = new THREE.InstancedMesh(geometry, material, capacity);
       mesh.frustumCulled = false;
       mesh.renderOrder = order;
+      mesh.setColorAt(0, new THREE.Color(0xffffff));  // three.js asks for colours when it draws for the first time
       this.scene.add(mesh);
       return {mesh, part, wide};
-    }));
+    });
   }
 
   begin() { this.places = []; }
 
-  add(point, direction, length) { this.places.push([point.clone(), direction.clone(), length]); }
+  add(point, direction, length, color) { this.places.push([point.clone(), direction.clone(), length, color]); }
 
   end() {
     this.count = this.places.length;
     if (this.count > this.capacity) { this.grow(2 * this.count); }
     const [matrix, at, turn, size] = this.made, z = new THREE.Vector3(0, 0, 1);
-    this.places.forEach(([point, direction, length], k) => {
+    const white = new THREE.Color(0xffffff), own = new THREE.Color();
+    this.places.forEach(([point, direction, length, color], k) => {
+      own.set(color).convertSRGBToLinear();
       turn.setFromUnitVectors(z, direction);
       const radius = Math.min(this.thick, 0.06 * length), head = 8 * radius;
       for (const {mesh, part, wide} of this.meshes) {
@@ -60,11 +66,12 @@ class Arrows {
           size.set(radius + seam, radius + seam, Math.max(length - head + 2 * seam, 1e-9));
         }
         mesh.setMatrixAt(k, matrix.compose(at, turn, size));
+        mesh.setColorAt(k, wide > 1 ? white : own);
       }
     });
     for (const {mesh} of this.meshes) {
       mesh.count = this.count;
-      mesh.instanceMatrix.needsUpdate = true;
+      mesh.instanceMatrix.needsUpdate = mesh.instanceColor.needsUpdate = true;
     }
   }
 }
@@ -129,8 +136,8 @@ class Signs {
     const size = stage.view.size;
     this.scale = 1;
     this.longest = 1.5 * ARROW_LENGTH * size;  // at the scale 1: peaks are cut
-    this.forces = new Arrows(stage.scene, FORCE_COLOR, 0.007 * size, 20);
-    this.impacts = new Arrows(stage.scene, IMPACT_COLOR, 0.007 * size, 30);
+    this.forces = new Arrows(stage.scene, 0.007 * size, 20);
+    this.impacts = new Arrows(stage.scene, 0.007 * size, 30);
     this.dots = new Dots(stage, 40);
     stage.beforeDraw = () => this.dots.size();
     this.shown = {forces: true, points: true, impacts: true};
@@ -144,12 +151,12 @@ class Signs {
   show(t, speed) {
     const {forces, dots, impacts, source} = this, direction = new THREE.Vector3(), cut = this.longest * this.scale;
     for (const part of [forces, dots, impacts]) { part.begin(); }
-    source.contacts(t, (point, force, mode) => {
+    source.contacts(t, (point, force, mode, pair) => {
       if (this.shown.points) { dots.add(point, MODE_COLORS[MODES[mode]]); }
       const strength = force.length();
       if (this.shown.forces && strength > 0) {
         const length = Math.min(strength * this.perNewton * this.scale, cut);
-        forces.add(point, direction.copy(force).divideScalar(strength), length);
+        forces.add(point, direction.copy(force).divideScalar(strength), length, source.pair(pair).color);
       }
     });
     const latest = this.showImpacts(t, speed);
@@ -169,7 +176,7 @@ class Signs {
       point.fromArray(events.point, 3 * k);
       direction.fromArray(events.direction, 3 * k);
       const share = events.strongest > 0 ? events.impulse[k] / events.strongest : 1;
-      this.impacts.add(point, direction, full * Math.max(share, 0.15));
+      this.impacts.add(point, direction, full * Math.max(share, 0.15), IMPACT_COLOR);
     }
     return strongest;
   }

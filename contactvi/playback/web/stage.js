@@ -1,4 +1,4 @@
-// The picture: bodies with their shapes, ground and walls, light, labels. It draws when something has changed.
+// The picture: bodies with their shapes, ground and walls, light. It draws when something has changed.
 
 const BACKGROUND = 0xf5f7f9, GRID = 0x8d99a8;
 
@@ -7,7 +7,7 @@ class Stage {
     this.pane = pane;
     this.view = view;
     this.source = source;
-    this.renderer = new THREE.WebGLRenderer({antialias: true, preserveDrawingBuffer: true});
+    this.renderer = new THREE.WebGLRenderer({antialias: true, alpha: true, preserveDrawingBuffer: true});
     this.renderer.outputEncoding = THREE.sRGBEncoding;
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFSoftShadowMap;
@@ -34,7 +34,6 @@ class Stage {
     const sizes = this.bodies.map(group => group.userData.radius).filter(radius => radius > 0).sort((a, b) => a - b);
     this.ordinary = sizes.length ? sizes[sizes.length >> 1] : view.radius;  // [m] radius of an ordinary body
     this.light();
-    this.labels = null;
     new ResizeObserver(() => this.resize()).observe(pane);
     this.resize();
   }
@@ -199,31 +198,7 @@ class Stage {
     this.dirty = false;
     if (this.beforeDraw) { this.beforeDraw(); }
     this.renderer.render(this.scene, this.camera);
-    if (this.labels) { this.placeLabels(); }
-  }
-
-  // --- labels ---------------------------------------------------------------------------------------------------
-
-  showLabels(shown) {
-    if (this.labels) { this.labels.forEach(label => label.remove()); }
-    this.labels = !shown ? null : this.bodies.map((group, k) => {
-      const label = document.createElement("div");
-      label.className = "label";
-      label.textContent = this.source.bodies[k].fixed ? "" : group.name;
-      this.pane.appendChild(label);
-      return label;
-    });
-    this.draw();
-  }
-
-  placeLabels() {
-    const point = new THREE.Vector3();
-    this.labels.forEach((label, k) => {
-      this.center(k, point).project(this.camera);
-      label.style.display = label.textContent && Math.abs(point.z) < 1 ? "" : "none";
-      label.style.transform = `translate(-50%, -50%) translate(${(0.5 + 0.5 * point.x) * this.width}px, ` +
-        `${(0.5 - 0.5 * point.y) * this.height}px)`;
-    });
+    if (this.afterDraw) { this.afterDraw(); }
   }
 
   // Where the middle of a body's shapes is now.
