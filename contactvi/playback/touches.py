@@ -56,7 +56,7 @@ class Touches:
         order = np.argsort(self.begin, kind="stable")
         passed = np.cumsum(self.weight[order])
         rows = order[np.searchsorted(passed, np.array(shares) * passed[-1])]
-        return np.unique(0.5 * (self.begin[rows] + self.end[rows])).tolist()
+        return [float(t) for t in np.unique(0.5 * (self.begin[rows] + self.end[rows]))]
 
     def center(self) -> Array:
         """Return the mean of the points, weighted by their impulses [m], (3,)."""

@@ -606,6 +606,6 @@ def test_picture_of_the_hand(browser, tmp_path):
     dark = np.all(start < 140, axis=2).mean()
     assert 0.03 < dark < 0.5  # the hand, not lost in the distance and not all over the screen
     arrow = np.all(np.abs(impact - (0xE0, 0x43, 0x1F)) < 25, axis=2)[: int(0.8 * len(impact))]
-    assert arrow.sum() > 100
+    assert arrow.sum() > 50  # what the hand and the ball hide of it is fainter
     assert np.abs(impact - start).max(axis=2).mean() > 0.5
     assert not math.isnan(float(impact.mean()))

@@ -201,7 +201,8 @@ def test_pictures_tell_how_long_a_newton_is(tmp_path):
     """The arrow of a known weight beside that of the scale: the scale's is one of 1, 2, 5, 10, ... newtons."""
     scene = cvi.Scene()
     scene.add_halfspace()
-    scene.add_sphere("ball", 0.1, mass=3.0, color=(0.8, 0.8, 0.2, 1.0), placement=(0, 0, 0.1))
+    # What is seen through hides no arrow.
+    scene.add_sphere("ball", 0.1, mass=3.0, color=(0.8, 0.8, 0.2, 0.3), placement=(0, 0, 0.1))
     scene.set_contact(restitution=0.0)
     run = cvi.simulate(scene, duration=0.2, dt=1e-2)
     file = run.render(tmp_path / "a.png", at=0.1, size=(640, 480), camera="side")
