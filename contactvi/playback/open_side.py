@@ -2,7 +2,7 @@
 
 Points are scattered over all shapes at a few times of the run and looked at from candidate directions on a coarse grid:
 the nearest point of a cell hides the others. The direction that sees most of what moves is taken; every tree of bodies
-counts the same, a ball as much as the hand it lies in. Contact points count twice as much as all of this: each by its
+counts the same, a ball as much as the hand it lies in. Contact points count as much as all of this: each by its
 impulse and by how little hides it. The times are then those at which the impulses are passed on.
 """
 
@@ -26,7 +26,6 @@ _POINTS = 300  # on each shape
 _CELLS = 40  # across the picture: a shape's points are denser than that
 _MOMENTS = (0.2, 0.5, 1.0)  # of the run
 _SHARES = (0.2, 0.5, 0.8)  # of the whole impulse, where there are contacts
-_CONTACTS = 2.0  # weight of the contact points
 _HIDING = 0.1  # radii of the picture of its own bodies in front of a contact point that leave 1/e of it
 
 
@@ -65,7 +64,7 @@ def open_side(
         if touches is not None and len(now := touches.at(moment)):
             frame = int(np.argmin(np.abs(frames.times - moment)))
             in_sight = np.exp(-covered(visuals, frames, frame, now.point, choices) / (_HIDING * radius))
-            score += _CONTACTS / len(moments) * (in_sight @ now.weight) / now.weight.sum()
+            score += in_sight @ now.weight / (now.weight.sum() * len(moments))
     return np.asarray(choices[np.argmax(score)])
 
 
