@@ -23,7 +23,7 @@ from contactvi.batch.storage import StoredBatch, save_batch
 from contactvi.errors import DenseStepWarning, InputError
 from contactvi.files import check_free, checked_path
 from contactvi.inputs import callback, check_choice, flag
-from contactvi.keywords import with_keywords
+from contactvi.keywords import check_keywords, with_keywords
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.simulation import check_no_steps
@@ -157,6 +157,7 @@ def simulate_batch(
     Warns:
         DenseStepWarning: once, where runs with contact_mode="auto" took dense steps.
     """
+    check_keywords(simulate_batch, options, "simulate_batch")
     if flag("resume", resume) and path is None:
         raise InputError(
             "Runs are kept in files to be resumed", name="resume", expected="a path with resume=True", got="none",

@@ -237,7 +237,7 @@ def check_mass(
             expected="a positive mass or inertia behind every joint",
             got=_no_inertia(diagonal[worst], least),
             remedy="Give the links behind it an <inertial>, make the joint fixed, or give it an armature: "
-            f"add_urdf(..., armature={{{name!r}: 1e-4}})",
+            f"add_urdf(..., armature={{{name!r}: 1e-4}}), or model.armature of a Pinocchio model",
         )
     _, here, worst = _least_inertia(own, q, NEARLY_SINGULAR, model, followers)
     if here < NEARLY_SINGULAR:

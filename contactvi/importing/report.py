@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from contactvi.html import folded, html_table, preformatted
+from contactvi.inputs import check_choice
 
 _SHOWN, _LINES = 10, 150  # findings and lines of text that a notebook shows
 Use = Literal["used", "changed", "ignored", "refused", "suspicious"]
@@ -122,10 +123,19 @@ class ImportReport:
     notes: list[Note] = field(default_factory=list)
 
     def all_notes(self, use: Use | None = None, topic: str | None = None) -> Iterator[Note]:
-        """Yield the findings of all parts and of the scene, filtered by use and topic."""
+        """Return the findings of all parts and of the scene, filtered by use and topic. InputError: another use."""
+        if use is not None:
+            check_choice("use", use, USES, "What a finding says")
+        return self._notes(use, topic)
+
+    def _notes(self, use: Use | None, topic: str | None) -> Iterator[Note]:
         for note in [n for part in self.parts for n in part.notes] + self.notes:
             if (use is None or note.use == use) and (topic is None or note.topic == topic):
                 yield note
+
+    @property
+    def ignored(self) -> list[Note]:
+        return list(self.all_notes("ignored"))
 
     @property
     def refused(self) -> list[Note]:

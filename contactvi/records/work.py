@@ -91,7 +91,7 @@ class Forces:
         raise InputError(
             "Unknown constraint",
             name="name",
-            expected="one of traj.constraints",
+            expected="one of traj.constraints; springs, wrenches and servos are none",
             got=repr(name),
             remedy=did_you_mean(str(name), [row.name for row in self.constraints]),
         )

@@ -96,7 +96,8 @@ class FunctionSurface(GivenSurface):
 
     def _asked(self, function: Callable[..., Any], what: str, points: Array, *shape: int) -> Array:
         value = called(function, what, None, points)
-        return checked(value, what, None, (len(points), *shape), "numbers for each point")
+        asks = f"numbers for each point: it gets an array of points, shape {points.shape}, and returns one"
+        return checked(value, what, None, (len(points), *shape), asks)
 
     def _height(self, what: str, points: Array) -> Array:
         assert self.function is not None

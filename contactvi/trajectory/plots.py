@@ -194,7 +194,9 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
         known = change[np.isfinite(change)]
         if not len(known):
             continue
-        kept = "kept across the parts of\ncut steps by DTEC" if own == "dtec" else f"conserved by {own.upper()}"
+        kept = (
+            "kept across the parts of\ncut steps by DTEC" if own == "dtec" else f"conserved by {own.upper()} in impacts"
+        )
         label, width = (f"{name},\n{kept}", 1.8) if method == own else (name, 1.0)
         draw_curve(axis, traj.t, change - known[0], label, color=color, lw=width, ls=style, marker=_marker(traj), ms=4)
     axis.set_ylabel("damping, inputs,\nintegrator [J]")
