@@ -329,8 +329,8 @@ def test_thousands_of_impacts_are_few_elements(browser, tmp_path):
     assert browser.execute_script("return player.chosen.length") > 3000
     assert browser.execute_script("return document.querySelectorAll('*').length") < 300
     assert browser.execute_script("return stage.renderer.info.render.calls") < 30
-    # Its end is reached by scrolling, and the rows there are those of the last impacts. A busy machine draws it later, and
-    # may have lost the key that opens the list (test_keys holds that it opens).
+    # Its end is reached by scrolling, and the rows there are those of the last impacts. A busy machine draws it later,
+    # and may have lost the key that opens the list (test_keys holds that it opens).
     last = f"{traj.events[-1].time:.6g}"
     browser.execute_async_script(
         POLL,
