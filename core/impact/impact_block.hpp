@@ -110,7 +110,7 @@ class ImpactBlock {
   MatX G_;
   VecX first_, second_, speeds_;  // impulses of the two problems; speeds of the rows that a problem starts from
   ImpactBlockResult result_;
-  double speed_ = 0.0;  // scale of the members' speeds
+  double speed_ = 0.0;       // scale of the members' speeds
   int own_ = 0;              // points of the first member
   bool compressed_ = false;  // first_ is the compression
   std::vector<char> course_;
