@@ -72,12 +72,14 @@ def meant(name: str, known: Iterable[str]) -> str:
 
 
 def check_keywords(function: Callable[..., Any], given: Iterable[str], caller: str, skip: Iterable[str] = ()) -> None:
-    """Raise InputError for a name that is no keyword of a function, with those that are.
+    """Raise InputError for a name by which a function takes nothing, with those by which it does.
 
     Args:
-        caller: what was called. skip: keywords that it has not.
+        function: its first argument is what it is about, and has no name for the caller.
+        caller: what was called. skip: names that it has not.
     """
-    known = [p.name for p in keywords_of(function) if p.name not in skip]
+    _, *parameters = inspect.signature(function).parameters.values()
+    known = [p.name for p in parameters if p.kind is not p.VAR_KEYWORD and p.name not in skip]
     for name in given:
         if name not in known:
             raise InputError(

@@ -45,6 +45,11 @@ def test_synonyms_of_the_options_of_a_run(run, word, says):
     assert told.value.name == word
 
 
+def test_a_start_of_one_run_leads_to_those_of_a_batch():
+    with pytest.raises(cvi.InputError, match="simulate_batch has no option 'v0'.*Did you mean 'v0s'"):
+        cvi.simulate_batch(ball_scene(), v0=np.zeros(6), duration=0.1, dt=1e-2)
+
+
 @pytest.mark.parametrize(
     ("call", "word", "says"),
     [

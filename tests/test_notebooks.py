@@ -30,7 +30,7 @@ def test_it_is_stored_without_outputs(path):
         assert cell.get("execution_count") is None
 
 
-@pytest.mark.long  # .ci/run runs them when it builds the pages
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_it_runs(path, monkeypatch):
     """Its own assertions hold, it shows pictures and tables, and prints no warning."""

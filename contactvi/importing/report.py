@@ -126,12 +126,8 @@ class ImportReport:
         """Return the findings of all parts and of the scene, filtered by use and topic. InputError: another use."""
         if use is not None:
             check_choice("use", use, USES, "What a finding says")
-        return self._notes(use, topic)
-
-    def _notes(self, use: Use | None, topic: str | None) -> Iterator[Note]:
-        for note in [n for part in self.parts for n in part.notes] + self.notes:
-            if (use is None or note.use == use) and (topic is None or note.topic == topic):
-                yield note
+        notes = [note for part in self.parts for note in part.notes] + self.notes
+        return (n for n in notes if use in (None, n.use) and topic in (None, n.topic))
 
     @property
     def ignored(self) -> list[Note]:

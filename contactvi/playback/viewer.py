@@ -25,7 +25,7 @@ def view(run: Run, *, open_browser: bool | None = None, **options: Any) -> View:
 def view(
     run: Stepped, *, open_browser: bool | None = None, realtime: bool | float = False, **options: Any
 ) -> LiveView: ...
-@with_keywords(write_html, LiveView, skip=["overwrite"])
+@with_keywords(write_html, LiveView, skip=["path", "overwrite"])
 def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any) -> View | LiveView:
     """Serve the playback of a run, or the live view of a simulator, and open it in the browser; return at once.
 

@@ -155,11 +155,11 @@ def save_force_plot(
 
 def _save(figure: Figure, path: str | os.PathLike[str], overwrite: bool, dpi: float, transparent: bool) -> Path:
     kind = "svg" if Path(path).suffix.lower() == ".svg" else "png"
-    dpi, transparent = (
-        real("dpi", dpi, 10.0, 2400.0, expected="10 to 2400 pixels per inch"),
-        flag("transparent", transparent),
-    )
-    style: dict[str, Any] = {"format": kind, "dpi": dpi, "transparent": transparent}
+    style: dict[str, Any] = {
+        "format": kind,
+        "dpi": real("dpi", dpi, 10.0, 2400.0, expected="10 to 2400 pixels per inch"),
+        "transparent": flag("transparent", transparent),
+    }
     return write_atomic(path, lambda file: figure.savefig(file, **style), overwrite)
 
 
@@ -194,9 +194,9 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
         known = change[np.isfinite(change)]
         if not len(known):
             continue
-        kept = (
-            "kept across the parts of\ncut steps by DTEC" if own == "dtec" else f"conserved by {own.upper()} in impacts"
-        )
+        kept = f"conserved by {own.upper()} in impacts"
+        if own == "dtec":
+            kept = "kept across the parts of\ncut steps by DTEC"
         label, width = (f"{name},\n{kept}", 1.8) if method == own else (name, 1.0)
         draw_curve(axis, traj.t, change - known[0], label, color=color, lw=width, ls=style, marker=_marker(traj), ms=4)
     axis.set_ylabel("damping, inputs,\nintegrator [J]")

@@ -133,9 +133,8 @@ def test_energy_is_flat_over_1e5_steps(name, order):
     assert len(traj.contact_changes) == len(modes)  # the contact begins, and never ends
     tenth = len(traj.energy) // 10
     first, last = traj.energy[:tenth], traj.energy[-tenth:]
-    left = (
-        1e5 * options["solver_tol"] * np.abs(traj.energy).max()
-    )  # by the solver in each step, were it always of one sign
+    # By the solver in each step, were it always of one sign.
+    left = 1e5 * options["solver_tol"] * np.abs(traj.energy).max()
     assert np.ptp(traj.energy) <= 1.1 * np.ptp(first) + left
     assert abs(last.mean() - first.mean()) <= 0.05 * np.ptp(first) + left
 

@@ -94,7 +94,7 @@ def test_the_order_holds_where_a_servo_comes_to_its_limits(kp, kd, target, most,
     check_order(run, exact[0, :1], order, {**STEPS, 2: (2000, 4000, 8000)}[order])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_adaptive_steps_meet_their_tolerance_with_ropes():
     """The estimate is not below a third of the error, in any of sixty motions, and no run warns."""
     rng, switches = np.random.default_rng(7), 0

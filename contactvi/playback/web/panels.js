@@ -311,8 +311,10 @@ class EventPanel {
     make("b", word, line);
     make("em", time, line);
     const small = make("small", [label, detail].filter(text => text).join(" \u00b7 "), row);
-    if (pair) { small.prepend(Object.assign(document.createElement("i"), {className: "pair"})); }
-    if (pair) { small.firstChild.style.background = pair; }
+    if (pair) {
+      small.prepend(Object.assign(document.createElement("i"), {className: "pair"}));
+      small.firstChild.style.background = pair;
+    }
     return row;
   }
 
