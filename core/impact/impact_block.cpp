@@ -12,7 +12,7 @@ namespace contactvi {
 namespace {
 constexpr double kGain = 1e-12;       // of the energy of the closing motion: a smaller gain is rounding
 constexpr double kRounding = 2e-14;   // of the speeds
-constexpr double kAccept = 1e-9;      // of the speeds: error of a cone problem that did not converge
+constexpr double kAccept = 1e-9;      // residual of a cone problem that did not converge
 constexpr double kShareWidth = 1e-9;  // of e: accuracy of its largest share without gain
 constexpr int kBisections = 50;
 constexpr double kWork = 1e-14;      // of the work of the compression: accuracy of what the expansion gives back
@@ -33,10 +33,8 @@ bool ImpactBlock::cone(const VecX& start, VecX& lambda) {
   const ConeResult result =
       solver_.solve({cones_, G_, start, kRounding * (1.0 + start.cwiseAbs().maxCoeff())}, lambda, true);
   result_.iterations += result.iterations;
-  if (result.ok) return lambda.allFinite();
   // The error of a nearly singular problem is left to a further impact.
-  const double terms = (start.cwiseAbs() + G_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
-  return result.residual * terms <= kAccept * std::max(speed_, terms) && lambda.allFinite();
+  return (result.ok || result.residual <= kAccept) && lambda.allFinite();
 }
 
 void ImpactBlock::set_problem(const std::vector<BlockMember>& members, const VecX& p) {
@@ -56,8 +54,6 @@ void ImpactBlock::set_problem(const std::vector<BlockMember>& members, const Vec
     }
   }
   own_ = members.front().closed->count;
-  speed_ = 0.0;
-  for (const BlockMember& member : members) speed_ = std::max(speed_, member.closed->speed_scale(p));
   solver_.reserve(rows);
   G_.resize(rows, rows);
   result_.gamma_minus.resize(rows);

@@ -50,10 +50,6 @@ struct ClosedGuard {
   double gamma_n(int point, const VecX& p) const { return speed(point * rows_per_point(), p); }
   double speed(int row, const VecX& p) const { return MinvW.col(row).dot(p) + offset[row]; }
   VecX speeds(const VecX& p) const { return MinvW.leftCols(rows).transpose() * p + offset.head(rows); }
-  // Sum of the sizes of the terms that make the largest of the speeds: rounding is relative to it.
-  double speed_scale(const VecX& p) const {
-    return (MinvW.leftCols(rows).cwiseAbs().transpose() * p.cwiseAbs()).maxCoeff();
-  }
   // Kinetic energy T- - T+ that impulses take, without the work of moving constraints [J].
   double loss(const VecX& lambda, const VecX& p_minus, const VecX& p_plus) const {
     return -0.5 * lambda.dot(speeds(p_minus) + speeds(p_plus));
@@ -110,7 +106,6 @@ class ImpactBlock {
   MatX G_;
   VecX first_, second_, speeds_;  // impulses of the two problems; speeds of the rows that a problem starts from
   ImpactBlockResult result_;
-  double speed_ = 0.0;       // scale of the members' speeds
   int own_ = 0;              // points of the first member
   bool compressed_ = false;  // first_ is the compression
   std::vector<char> course_;

@@ -86,7 +86,10 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Im
   constraint_impulses_.setZero();
   driven_work_ = 0.0;
   speeds_ = 0.0;
-  for (int i = 0; i < count_; ++i) speeds_ = std::max(speeds_, closed_[i].speed_scale(p));
+  for (int i = 0; i < count_; ++i) {
+    const auto MinvW = closed_[i].MinvW.leftCols(closed_[i].rows);
+    speeds_ = std::max(speeds_, (MinvW.cwiseAbs().transpose() * p.cwiseAbs()).maxCoeff());
+  }
   const double scale = largest_speed(p);
   bool elastic = false;  // without losses a long sequence may still end
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
