@@ -114,7 +114,8 @@ class SensitivityReport:
             change the start.
         dense_steps: the dense steps on the way that are approximate or near a kink, in the order of time.
         kinks: with on_kink="taken", where some column has a kink, and is the derivative of what the run did there: an
-            element of the generalised derivative (Clarke). Combinations of the other columns are derivatives.
+            element of the generalised derivative (Clarke), but for "redundant" ones, whose impulses are those of
+            least norm. Combinations of the other columns are derivatives.
     """
 
     events: tuple[EventSensitivity, ...]
