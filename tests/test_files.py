@@ -37,16 +37,14 @@ WRITERS = {
     "to_html": "run.html",
     "render": "run.png",
     "to_csv": "states.csv",
-    "save_plot": "energy.png",
-    "save_force_plot": "forces.png",
-    "save_state_plot": "states.png",
+    "save_figure": "energy.png",
 }
 
 
 def written(name: str, traj: cvi.Trajectory, path: Path, **options) -> None:
     """Let one of the functions that write files of users write this one."""
-    if name.endswith("_plot"):
-        getattr(plots, name)(traj, path, **options)
+    if name == "save_figure":
+        plots.save_figure(plots.plot(traj), path, **options)
     elif name == "to_csv":
         traj.to_csv(path.parent, ["states"], **options)
     else:

@@ -71,18 +71,17 @@ def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool, **sty
     """Draw the energy of a run, and its contact forces if it has some, as files of this kind; return their paths.
 
     Args:
-        style: dpi and transparent of `save_plot`.
+        style: dpi and transparent of `save_figure`.
     """
     from contactvi.files import check_free
-    from contactvi.trajectory.plots import save_force_plot, save_plot
+    from contactvi.trajectory.plots import plot, plot_forces, save_figure
 
-    names = [(folder / ENERGY).with_suffix(f".{kind}"), (folder / FORCES).with_suffix(f".{kind}")]
-    if not np.any(traj.contacts.h > 0.0):
-        del names[1]
-    for name in names:
+    drawn = {(folder / ENERGY).with_suffix(f".{kind}"): plot}
+    if np.any(traj.contacts.h > 0.0):
+        drawn[(folder / FORCES).with_suffix(f".{kind}")] = plot_forces
+    for name in drawn:
         check_free(name, overwrite)
-    written = [save_plot(traj, names[0], overwrite=True, **style)]
-    return [*written, *(save_force_plot(traj, name, overwrite=True, **style) for name in names[1:])]
+    return [save_figure(figure(traj), name, overwrite=True, **style) for name, figure in drawn.items()]
 
 
 def run_title(file: Path) -> str:

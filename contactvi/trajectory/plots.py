@@ -102,58 +102,28 @@ def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
     return force_figure(traj, by)
 
 
-def save_plot(
-    traj: Trajectory,
+def save_figure(
+    figure: Figure,
     path: str | os.PathLike[str],
     overwrite: bool = False,
     *,
     dpi: float = 130.0,
     transparent: bool = False,
 ) -> Path:
-    """Write the figure of `plot` as an SVG, where the name ends in .svg, else as a PNG file; return its path.
-
-    The file is written whole or not at all.
+    """Write a figure as an SVG, where the name ends in .svg, else as a PNG file, whole or not at all; return its path.
 
     Args:
+        figure: such as of `plot`, `plot_states` and `plot_forces`.
         path: ends with .png or .svg.
         overwrite: whether a file of this name is replaced.
-        dpi: pixels per inch of a PNG; the figure is ten inches wide. In an SVG lines have no pixels, dots of force
-            plots have.
+        dpi: pixels per inch of a PNG; figures of runs are ten inches wide. In an SVG lines have no pixels, dots of
+            force plots have.
         transparent: leave the background out.
 
     Raises:
         OverwriteError: there is such a file, without `overwrite`.
         InputError: a bad argument.
     """
-    return _save(plot(traj), path, overwrite, dpi, transparent)
-
-
-def save_state_plot(
-    traj: Trajectory,
-    path: str | os.PathLike[str],
-    overwrite: bool = False,
-    *,
-    dpi: float = 130.0,
-    transparent: bool = False,
-) -> Path:
-    """Write the figure of `plot_states` as that of `plot` by `save_plot`; return its path."""
-    return _save(plot_states(traj), path, overwrite, dpi, transparent)
-
-
-def save_force_plot(
-    traj: Trajectory,
-    path: str | os.PathLike[str],
-    by: str = "pair",
-    overwrite: bool = False,
-    *,
-    dpi: float = 130.0,
-    transparent: bool = False,
-) -> Path:
-    """Write the figure of `plot_forces` as that of `plot` by `save_plot`; return its path."""
-    return _save(plot_forces(traj, by), path, overwrite, dpi, transparent)
-
-
-def _save(figure: Figure, path: str | os.PathLike[str], overwrite: bool, dpi: float, transparent: bool) -> Path:
     kind = "svg" if Path(path).suffix.lower() == ".svg" else "png"
     style: dict[str, Any] = {
         "format": kind,

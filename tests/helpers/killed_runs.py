@@ -149,17 +149,17 @@ def _save_forever(folder: Path) -> None:
 
 def _write_small(folder: Path, limit: int) -> None:
     """Print what each writer raised that is not as it should be."""
-    from contactvi.trajectory.plots import save_plot
+    from contactvi.trajectory.plots import plot, save_figure
 
     traj = cvi.simulate(run_scenes.ball_scene(0.8), duration=400.0, dt=1e-2)
-    save_plot(traj, folder.parent / "warm_up.png", overwrite=True)  # fonts are cached
+    save_figure(plot(traj), folder.parent / "warm_up.png", overwrite=True)  # fonts are cached
     if limit:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     told = {}
     for name, write in (
         ("trajectory.npz", partial(traj.save, overwrite=True)),
         ("playback.html", partial(traj.to_html, overwrite=True)),
-        ("energy.png", partial(save_plot, traj, overwrite=True)),
+        ("energy.png", partial(save_figure, plot(traj), overwrite=True)),
     ):  # fmt: skip
         try:
             write(folder / name)

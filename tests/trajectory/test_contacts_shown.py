@@ -177,7 +177,7 @@ def test_plot_of_the_forces(box, tmp_path):
     assert line.get_ydata() == pytest.approx(np.full(50, MASS * GRAVITY), rel=1e-12)
     (line,) = [line for line in along.lines if len(line.get_xdata()) == 50]
     assert line.get_ydata()[0] == pytest.approx(MU * MASS * GRAVITY, rel=1e-12)
-    assert plots.save_force_plot(box, tmp_path / "forces.png").stat().st_size > 10_000
+    assert plots.save_figure(plots.plot_forces(box), tmp_path / "forces.png").stat().st_size > 10_000
     h = box.contacts.h.copy()
     h[80:100] = 0.0
     apart = plots.plot_forces(sliding_box(h=h)).axes[0].lines  # the line is broken where the box has no contact

@@ -14,7 +14,7 @@ from matplotlib.image import imread
 import contactvi as cvi
 from contactvi.trajectory import plot_layout
 from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, panels
-from contactvi.trajectory.plots import save_force_plot, save_plot, save_state_plot
+from contactvi.trajectory.plots import save_figure
 from helpers.contact_runs import GRAVITY, MASS, MU, STOP, sliding_box
 
 
@@ -204,21 +204,21 @@ def test_states_say_which_velocities_are_in_the_axes_of_a_body():
     assert labels == ["angle [rad]", "angular velocity [rad/s]"]
 
 
-@pytest.mark.parametrize("save", [save_plot, save_state_plot, save_force_plot])
-def test_resolution_and_background_of_a_file(box, tmp_path, save):
+@pytest.mark.parametrize("draw", [cvi.plot, cvi.plot_states, cvi.plot_forces])
+def test_resolution_and_background_of_a_file(box, tmp_path, draw):
     """Ten inches are as many pixels as dpi says; without a background the corner is clear; an SVG holds lines."""
     from PIL import Image
 
-    with Image.open(save(box, tmp_path / "a.png", dpi=60, transparent=True)) as image:
+    with Image.open(save_figure(draw(box), tmp_path / "a.png", dpi=60, transparent=True)) as image:
         assert image.width == 600
         assert image.convert("RGBA").getpixel((0, 0))[3] == 0
-    with Image.open(save(box, tmp_path / "b.png")) as image:
+    with Image.open(save_figure(draw(box), tmp_path / "b.png")) as image:
         assert image.width == 1300
         assert image.convert("RGBA").getpixel((0, 0)) == (255, 255, 255, 255)
-    text = save(box, tmp_path / "a.svg", transparent=True).read_text()
+    text = save_figure(draw(box), tmp_path / "a.svg", transparent=True).read_text()
     assert "<svg" in text
     assert "<path" in text
     for wrong in ({"dpi": 0}, {"dpi": "high"}, {"transparent": 1}):
         with pytest.raises(cvi.InputError, match=next(iter(wrong))):
-            save(box, tmp_path / "c.png", **wrong)
+            save_figure(draw(box), tmp_path / "c.png", **wrong)
     assert not (tmp_path / "c.png").exists()
