@@ -93,30 +93,29 @@ class Labels {
     this.lines.firstChild.setAttribute("d", lines.join(""));
   }
 
-  // Draw the names into a picture whose pixels are `ratio` of one on the screen.
-  drawInto(pen, ratio) {
-    pen.font = `${11 * ratio}px "DejaVu Sans", sans-serif`;
+  // Draw the names into a picture of the size of the stage.
+  drawInto(pen) {
+    pen.font = '11px "DejaVu Sans", sans-serif';
     pen.textBaseline = "middle";
     pen.textAlign = "center";
     const names = this.bodies().map(k => this.stage.bodies[k].name);
-    const places = this.places(names.map(name => [pen.measureText(name).width / ratio + 8, 16]));
-    pen.lineWidth = ratio;
+    const places = this.places(names.map(name => [pen.measureText(name).width + 8, 16]));
+    pen.lineWidth = 1;
     pen.strokeStyle = LEADER_COLOR;
     for (const box of places) {
       if (!box || !standsBeside(box)) { continue; }
       pen.beginPath();
-      pen.moveTo(ratio * box.anchor.x, ratio * box.anchor.y);
-      pen.lineTo(ratio * box.x, ratio * box.y);
+      pen.moveTo(box.anchor.x, box.anchor.y);
+      pen.lineTo(box.x, box.y);
       pen.stroke();
     }
     places.forEach((box, k) => {
       if (!box) { return; }
       pen.fillStyle = "rgba(255, 255, 255, .8)";
-      pen.fillRect(ratio * (box.x - box.width / 2), ratio * (box.y - box.height / 2), ratio * box.width, ratio * box.height);
-      pen.fillStyle = "#1d2733";
-      pen.fillText(names[k], ratio * box.x, ratio * box.y);
+      pen.fillRect(box.x - box.width / 2, box.y - box.height / 2, box.width, box.height);
+      pen.fillStyle = INK;
+      pen.fillText(names[k], box.x, box.y);
     });
     pen.textAlign = "start";
-    return places;
   }
 }

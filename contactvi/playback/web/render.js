@@ -29,7 +29,7 @@ function finished(drawn) {
   const pen = canvas.getContext("2d", {willReadFrequently: true});
   pen.imageSmoothingQuality = "high";
   pen.drawImage(drawn, 0, 0, job.width, job.height);
-  if (job.labels) { labels.drawInto(pen, 1); }
+  if (job.labels) { labels.drawInto(pen); }
   if (job.forces && signs.source.fullForce !== null && signs.shown.forces) { drawScale(pen); }
   return pen.getImageData(0, 0, job.width, job.height).data;
 }
