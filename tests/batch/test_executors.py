@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import pickle
 import sys
-import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
 
@@ -17,6 +16,7 @@ import pytest
 import contactvi as cvi
 from helpers.extras import extra
 from helpers.rollout_scenes import MODELS, at_wall, servo_arm, starts, thrown_box
+from helpers.workers import RayExecutor, Watched, await_two_workers
 
 SETTINGS: dict[str, Any] = {"dt": 0.01, "duration": 0.7}
 
@@ -140,56 +140,6 @@ def test_dask_goes_on_when_a_worker_is_killed():
 # -- other people's executors, each with two workers that are processes of their own -----------------------------------
 
 
-class RayExecutor(Executor):
-    """As in docs/guide/batches.md."""
-
-    def __init__(self, ray: Any) -> None:
-        self._ray = ray
-
-    def submit(self, call: Any, /, *args: Any, **named: Any) -> Future[Any]:
-        return self._ray.remote(call).remote(*args, **named).future()
-
-
-class Watched(Executor):
-    """Notes which processes have made the calls."""
-
-    def __init__(self, inner: Any) -> None:
-        self.inner, self.processes = inner, set[int]()
-
-    def submit(self, call: Any, /, *args: Any, **named: Any) -> Future[Any]:
-        outer: Future[Any] = Future()
-
-        def done(inner: Any) -> None:
-            try:
-                process, result = inner.result()
-                self.processes.add(process)
-                outer.set_result(result)
-            except BaseException as error:  # of the transport
-                outer.set_exception(error)
-
-        self.inner.submit(with_process, call, *args, **named).add_done_callback(done)
-        return outer
-
-
-def with_process(call: Any, *args: Any, **named: Any) -> tuple[int, Any]:
-    return os.getpid(), call(*args, **named)
-
-
-def process_after(seconds: float) -> int:
-    time.sleep(seconds)
-    return os.getpid()
-
-
-def await_two_workers(executor: Any) -> None:
-    """Returns when two processes answer side by side: an executor starts them when it likes."""
-    for k in range(60):
-        # Of other lengths each time, because Dask makes equal calls once.
-        calls = [executor.submit(process_after, 0.5 + 1e-3 * i) for i in (2 * k, 2 * k + 1)]
-        if len({call.result() for call in calls}) == 2:
-            return
-    raise AssertionError("one process made all calls for half a minute")
-
-
 def check_two_workers(executor: Any, tmp_path: Any) -> None:
     """Both workers make chunks, with the bits of this process, into a file as into memory."""
     await_two_workers(executor)
@@ -208,10 +158,16 @@ def check_two_workers(executor: Any, tmp_path: Any) -> None:
         assert result.q[:, -1].tobytes() == whole.q[:, -1].tobytes()
 
 
+@pytest.fixture
+def as_here(tmp_path, monkeypatch):
+    """Workers find what this process finds, and not the package in its folder, which may not be built there."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.mark.slow
-def test_ray_makes_runs_on_two_workers(tmp_path, monkeypatch):
+def test_ray_makes_runs_on_two_workers(tmp_path, as_here):
     ray = extra("ray")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # workers find what this process finds
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         check_two_workers(RayExecutor(ray), tmp_path)
@@ -220,7 +176,7 @@ def test_ray_makes_runs_on_two_workers(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_dask_makes_runs_on_two_workers(tmp_path):
+def test_dask_makes_runs_on_two_workers(tmp_path, as_here):
     distributed = extra("distributed")
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
