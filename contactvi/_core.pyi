@@ -33,6 +33,8 @@ class StatusCode(enum.IntEnum):
 
     TOO_MANY_STEPS = 10
 
+    IMPACT_UNSOLVED = 12
+
 class ImpactMap(enum.IntEnum):
     """What an impact conserves besides the momentum."""
 

@@ -29,6 +29,7 @@ class StatusCode(IntEnum):
     CONSTRAINT = 9
     TOO_MANY_STEPS = 10
     REFUSED = 11
+    IMPACT_UNSOLVED = 12
 
 
 @dataclass(frozen=True)

@@ -322,6 +322,42 @@ def test_core_knows_neither_python_nor_parsers():
     assert not wrong, "Python belongs into core/bindings only, parsing into contactvi/:\n" + "\n".join(wrong)
 
 
+def defined_names(text: str) -> set[str]:
+    """The constants and types defined at the beginning of a line. Functions may have equal names, as overloads."""
+    found = set(re.findall(r"^(?:struct|class|enum class) (\w+)", text, re.MULTILINE))
+    for constants in re.findall(r"^(?:inline )?constexpr [^;]*;", text, re.MULTILINE):
+        found.update(re.findall(r"\b(k[A-Z]\w*)(?:\[\w*\])? *[={]", constants))
+    return found
+
+
+def hidden_names(text: str) -> set[str]:
+    """Those of a file's anonymous namespaces."""
+    hidden = re.findall(r"^namespace \{$(.*?)^\}  // namespace$", text, re.MULTILINE | re.DOTALL)
+    return set().union(*map(defined_names, hidden))
+
+
+def test_hidden_names_are_there_once_in_a_folder():
+    """Up to CONTACTVI_TOGETHER files of a folder are compiled as one (core/CMakeLists.txt), with all their headers."""
+    owners: dict[tuple[str, str], list[str]] = {}
+    for path in cpp_files():
+        folder = folder_of(cpp_unit(path))
+        if folder == "lanes":  # each of its files is compiled alone
+            continue
+        if path.suffix == ".cpp":
+            for name in hidden_names(path.read_text()):
+                owners.setdefault((folder, name), []).append(path.name)
+        else:
+            for user in (user for user in CPP_FOLDERS if folder in reachable(CPP_FOLDERS, user)):
+                for name in defined_names(path.read_text()):
+                    owners.setdefault((user, name), []).append(path.name)
+    twice = [
+        f"core/{folder}: {name} in {files}"
+        for (folder, name), files in owners.items()
+        if len(files) > 1 and any(file.endswith(".cpp") for file in files)
+    ]
+    assert not twice, "share one in a header, or name them apart:\n" + "\n".join(twice)
+
+
 def test_lines_are_short():
     """clang-format leaves comments alone; ruff watches the lines of Python."""
     wide = [
@@ -343,6 +379,8 @@ def test_the_checks_can_fail():
         check_folders({"low.a": set(), "high.b": set(), "other.c": set()}, folders, "folders")
     with pytest.raises(AssertionError, match="there is no such folder"):
         check_folders({"low.a": set()}, folders, "folders")
+    hidden = "namespace {\nconstexpr int kA = 1, kB[2] = {kC, 2};\nstruct D {\n};\n}  // namespace\nstruct E {};"
+    assert hidden_names(hidden) == {"kA", "kB", "D"}
     assert find_circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
     assert between_folders({"low.a": {"high.b"}, "high.b": {"low.c"}}) == {"low": {"high"}, "high": {"low"}}
     hidden = (

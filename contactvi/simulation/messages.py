@@ -11,6 +11,7 @@ REACHED = "the run reached its end"
 REMEDY = {
     StatusCode.NEWTON_FAILED: "Use a smaller dt",
     StatusCode.NOT_FINITE: "Use a smaller dt, and look for huge forces or tiny masses",
+    StatusCode.IMPACT_UNSOLVED: "Use a smaller dt, or another impact map",
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
     StatusCode.TOO_MANY_IMPACTS: "Use a smaller dt, or raise max_impacts_per_step",
     StatusCode.PENETRATION: "start='separate' moves it apart by the least, scene.separate(q0) tells what that moves; "
@@ -30,7 +31,8 @@ def remedy(code: StatusCode, contact_mode: str, zeno: str = "end", impact: str =
         needed = ["zeno='hold'"] * (zeno == "end") + ["impact='ctec' or 'mhc'"] * (impact == "dtec")
         return f"Use {' and '.join(needed)}: the run then goes on with a persistent contact"
     text = REMEDY.get(code, "This is a bug: please report it with the scene")
-    if contact_mode == "events" and code in (StatusCode.EVENT_UNRESOLVED, StatusCode.TOO_MANY_IMPACTS):
+    left_to_dense = (StatusCode.EVENT_UNRESOLVED, StatusCode.TOO_MANY_IMPACTS, StatusCode.IMPACT_UNSOLVED)
+    if contact_mode == "events" and code in left_to_dense:
         return f"{text}. Where events accumulate contact_mode='auto' goes on with dense steps"
     return text
 

@@ -19,6 +19,8 @@ enum class StatusCode : int {
   // 8 is LEDGER of the Python API, which alone keeps the energy balance.
   kConstraint = 9,     // the constraints cannot be met
   kTooManySteps = 10,  // steps of the length that an accuracy needs are too many to be kept
+  // 11 is REFUSED of the Python API, of a run that never began.
+  kImpactUnsolved = 12,  // no impulses were found that satisfy the law of an impact
 };
 
 struct Status {
@@ -36,5 +38,10 @@ class Error : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
+
+// What is wrong with an argument, where it is.
+inline void need(bool condition, const char* what) {
+  if (!condition) throw Error(what);
+}
 
 }  // namespace contactvi

@@ -22,7 +22,7 @@ void legendre_integrals(double tau, int count, double* I) {
 namespace {
 
 // Computes in long double, so that the rounded entries are correct to the last place.
-GaussTable make_table(int s) {
+GaussTable make_gauss(int s) {
   GaussTable table{};
   table.s = s;
   std::vector<long double> x(s), w(s);
@@ -77,7 +77,7 @@ GaussTable make_table(int s) {
 const GaussTable& gauss_table(int s) {
   static const std::vector<GaussTable> tables = [] {
     std::vector<GaussTable> all;
-    for (int k = 1; k <= kMaxStages; ++k) all.push_back(make_table(k));
+    for (int k = 1; k <= kMaxStages; ++k) all.push_back(make_gauss(k));
     return all;
   }();
   return tables[s - 1];

@@ -24,7 +24,7 @@ LegendreValue legendre_at(int s, long double x) {
   return {P, slope, (2 * x * slope - s * (s + 1) * P) / (1 - x * x)};
 }
 
-LobattoTable make_table(int s) {
+LobattoTable make_lobatto(int s) {
   LobattoTable table{};
   const GaussTable& gauss = gauss_table(s);
   table.s = s;
@@ -59,7 +59,7 @@ LobattoTable make_table(int s) {
 const LobattoTable& lobatto_table(int s) {
   static const std::array<LobattoTable, kMaxStages> tables = [] {
     std::array<LobattoTable, kMaxStages> all{};
-    for (int k = 1; k <= kMaxStages; ++k) all[k - 1] = make_table(k);
+    for (int k = 1; k <= kMaxStages; ++k) all[k - 1] = make_lobatto(k);
     return all;
   }();
   return tables[s - 1];

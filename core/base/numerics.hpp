@@ -6,6 +6,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <limits>
 
 namespace contactvi {
 
@@ -18,6 +19,8 @@ using VecRef = Eigen::Ref<VecX>;
 using VecCRef = Eigen::Ref<const VecX>;
 
 constexpr double kTwoPi = 6.283185307179586476925;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Spatial force or momentum: moment about the frame's origin and force, both in that frame.
 struct Wrench {

@@ -5,16 +5,16 @@
 namespace contactvi {
 
 namespace {
-constexpr double kRedundant = 1e-9;  // relative pivot of the scaled matrix below which rows depend on each other
-constexpr double kZeroRow = 1e-20;   // share of the largest diagonal below which a row is rounding
-constexpr double kIdle = 1e-12;      // share of a row's diagonal that the equations leave it, below which it has none
+constexpr double kRedundant = 1e-9;      // relative pivot of the scaled matrix below which rows depend on each other
+constexpr double kZeroDiagonal = 1e-20;  // share of the largest diagonal below which a row is rounding
+constexpr double kIdle = 1e-12;  // share of a row's diagonal that the equations leave it, below which it has none
 }  // namespace
 
 void Reduction::set(const Eigen::Ref<const MatX>& G, int equations, int checked) {
   equations_ = equations;
   const Eigen::Index rest = G.rows() - equations;
   scale_.resize(equations);
-  const double zero = kZeroRow * G.diagonal().head(equations).maxCoeff();
+  const double zero = kZeroDiagonal * G.diagonal().head(equations).maxCoeff();
   for (int k = 0; k < equations; ++k) scale_[k] = G(k, k) > zero ? 1.0 / std::sqrt(G(k, k)) : 0.0;
   A_ = scale_.asDiagonal() * G.topLeftCorner(equations, equations) * scale_.asDiagonal();
   factor_.setThreshold(kRedundant);

@@ -21,4 +21,7 @@ constexpr double kLeastDivisor = 1e-300;
 // doubles, the rounding of a contact matrix with a condition of some thousands. Held by tests/core/cone/test_cone.py.
 constexpr double kConeTolerance = 1e-12;
 
+// Of the speeds: slip below it is rounding, and has no direction. Held by tests/core/contact.
+constexpr double kStill = 1e-11;
+
 }  // namespace contactvi

@@ -156,10 +156,11 @@ std::tuple<VecX, VecX, VecX, double, Parameters> adjoint_step(const Scene& s, co
   return {found.q, found.x, found.tau, found.h, parameters_of(s.tree, found.parameters)};
 }
 
-using Numbers = nb::typed<nb::dict, nb::str, double>;
+using NamedNumbers = nb::typed<nb::dict, nb::str, double>;
 
 // Seconds and iterations of one direction of the tangent and of one transposed derivative of the same step.
-Numbers derivative_costs(const Scene& s, const VecX& q, const VecX& v, double h, int order, int calls, int repeats) {
+NamedNumbers derivative_costs(const Scene& s, const VecX& q, const VecX& v, double h, int order, int calls,
+                              int repeats) {
   need_state(s.tree, q, v);
   need_order(order);
   const int n = s.tree.nv;
@@ -174,7 +175,7 @@ Numbers derivative_costs(const Scene& s, const VecX& q, const VecX& v, double h,
   direction.q = direction.p = VecX::LinSpaced(n, 0.5, 1.0);
   VecX a(n), b(n), tau(n);
   double by_h = 0.0;
-  Numbers d;
+  NamedNumbers d;
   double fastest[4];
   std::fill_n(fastest, 4, std::numeric_limits<double>::infinity());
   for (int r = 0; r < repeats; ++r) {
@@ -215,8 +216,8 @@ VecX passive_forces_at(const Scene& s, const VecX& q, const VecX& v, double t) {
 }
 
 // The contact of a guard at q, or that of a contact point of the pair with a known feature, ready to be differentiated.
-struct Touch {
-  Touch(const Scene& scene, const VecX& q, int guard, std::int64_t feature) : guards(scene), tangent(scene) {
+struct TouchedPair {
+  TouchedPair(const Scene& scene, const VecX& q, int guard, std::int64_t feature) : guards(scene), tangent(scene) {
     if (q.size() != scene.tree.nq) throw Error("expected shape (nq,)");
     if (guard < 0 || guard >= guards.count()) throw Error("there is no such guard");
     guards.place(q);
@@ -239,7 +240,7 @@ struct Touch {
 };
 
 std::tuple<double, VecX, Rows> gap_hessian(const Scene& s, const VecX& q, int guard, std::int64_t feature) {
-  Touch touch(s, q, guard, feature);
+  TouchedPair touch(s, q, guard, feature);
   const int nv = s.tree.nv;
   VecX W(nv);
   touch.guards.gradient(guard, touch.tangent.contact(), W);
@@ -255,7 +256,7 @@ std::tuple<double, VecX, Rows> gap_hessian(const Scene& s, const VecX& q, int gu
 
 std::tuple<Rows, std::vector<Rows>, Rows> contact_row_changes(const Scene& s, const VecX& q, int guard, const Vec3& t1,
                                                               std::int64_t feature) {
-  Touch touch(s, q, guard, feature);
+  TouchedPair touch(s, q, guard, feature);
   const int nv = s.tree.nv;
   MatX W = MatX::Zero(nv, 3), dW(nv, 3);
   touch.guards.rows(guard, touch.tangent.contact(), t1, W);

@@ -9,7 +9,6 @@
 
 #include <array>
 #include <cmath>
-#include <limits>
 #include <tuple>
 #include <variant>
 
@@ -61,7 +60,7 @@ UserFunctions* functions_of(PyObject* self) {
   return static_cast<UserFunctions*>(nb::inst_ptr<Scene>(self)->tree.elements.functions.get());
 }
 
-int traverse(PyObject* self, visitproc visit, void* arg) {
+int traverse_functions(PyObject* self, visitproc visit, void* arg) {
   Py_VISIT(Py_TYPE(self));
   if (UserFunctions* functions = functions_of(self))
     for (const nb::object& function : functions->list) Py_VISIT(function.ptr());
@@ -83,11 +82,6 @@ using ForceDerivatives = nb::typed<nb::callable, std::tuple<MatX, MatX>(double, 
 using Potential = nb::typed<nb::callable, double(VecX)>;
 using Gradient = nb::typed<nb::callable, VecX(VecX)>;
 using Hessian = nb::typed<nb::callable, MatX(VecX)>;
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-
-void need(bool condition, const char* what) {
-  if (!condition) throw Error(what);
-}
 
 // As guarded, at a state: where iterations diverge, so that it is not finite, the function is not asked.
 template <class Result, class Call>
@@ -403,8 +397,9 @@ std::vector<int> rows_per_constraint(const Scene& s) {
 
 }  // namespace
 
-PyType_Slot scene_slots[] = {
-    {Py_tp_traverse, reinterpret_cast<void*>(&traverse)}, {Py_tp_clear, reinterpret_cast<void*>(&clear)}, {0, nullptr}};
+PyType_Slot scene_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_functions)},
+                             {Py_tp_clear, reinterpret_cast<void*>(&clear)},
+                             {0, nullptr}};
 
 void expose_elements(nb::class_<Scene>& scene) {
   scene

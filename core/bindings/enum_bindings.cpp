@@ -28,7 +28,8 @@ void expose_run_enums(nb::module_& m) {
       .value("PENETRATION", StatusCode::kPenetration)
       .value("INTERRUPTED", StatusCode::kInterrupted)
       .value("CONSTRAINT", StatusCode::kConstraint)
-      .value("TOO_MANY_STEPS", StatusCode::kTooManySteps);
+      .value("TOO_MANY_STEPS", StatusCode::kTooManySteps)
+      .value("IMPACT_UNSOLVED", StatusCode::kImpactUnsolved);
   nb::enum_<ImpactMap>(m, "ImpactMap", nb::is_arithmetic(), "What an impact conserves besides the momentum.")
       .value("CTEC", ImpactMap::kCtec)
       .value("DTEC", ImpactMap::kDtec)

@@ -28,8 +28,8 @@ namespace contactvi {
 namespace {
 
 // A pair placed at a configuration, with its witness contact.
-struct Touch {
-  Touch(const Scene& scene, const VecX& q, int pair, int max_points)
+struct ManifoldTouch {
+  ManifoldTouch(const Scene& scene, const VecX& q, int pair, int max_points)
       : at(scene.tree), guards(scene), manifolds(scene, max_points) {
     if (q.size() != scene.tree.nq) throw Error("expected shape (nq,)");
     if (pair < 0 || pair >= static_cast<int>(scene.pairs.size())) throw Error("there is no such pair");
@@ -51,7 +51,7 @@ struct Touch {
   Contact witness;
 };
 
-Dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
+Dict describe(const ManifoldTouch& touch, const std::vector<ContactPoint>& points) {
   const auto n = static_cast<Eigen::Index>(points.size());
   std::vector<std::int64_t> feature;
   std::vector<PointKind> kind;
@@ -84,27 +84,27 @@ Dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
 }
 
 Dict contact_points(const Scene& s, const VecX& q, int pair, double margin, int max_points) {
-  Touch touch(s, q, pair, max_points);
+  ManifoldTouch touch(s, q, pair, max_points);
   std::vector<ContactPoint> points;
   touch.manifolds.find(pair, touch.at, touch.witness, margin, points);
   return describe(touch, points);
 }
 
-std::vector<ContactPoint> points_of(const Touch& touch, int pair, const std::vector<std::int64_t>& features) {
+std::vector<ContactPoint> points_of(const ManifoldTouch& touch, int pair, const std::vector<std::int64_t>& features) {
   std::vector<ContactPoint> points;
   for (std::int64_t f : features) points.push_back(touch.manifolds.point(pair, touch.at, touch.witness, f));
   return points;
 }
 
 Dict points_of_features(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features) {
-  Touch touch(s, q, pair, 4);
+  ManifoldTouch touch(s, q, pair, 4);
   return describe(touch, points_of(touch, pair, features));
 }
 
 std::tuple<double, double, Vec3, Vec3> rest_gap(const Scene& s, const VecX& q, int pair,
                                                 const std::vector<std::int64_t>& features, int max_points,
                                                 double enough) {
-  Touch touch(s, q, pair, max_points);
+  ManifoldTouch touch(s, q, pair, max_points);
   const std::vector<ContactPoint> points = points_of(touch, pair, features);
   std::vector<const ContactPoint*> persistent;
   for (const ContactPoint& p : points) persistent.push_back(&p);
@@ -117,7 +117,7 @@ std::tuple<double, double, Vec3, Vec3> rest_gap(const Scene& s, const VecX& q, i
 // Whether the pair is known to be no deeper than these points, and coal's gap less theirs.
 std::pair<bool, double> none_deeper(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features,
                                     int max_points) {
-  Touch touch(s, q, pair, max_points);
+  ManifoldTouch touch(s, q, pair, max_points);
   const std::vector<ContactPoint> points = points_of(touch, pair, features);
   std::vector<const ContactPoint*> persistent;
   double least = 0.0;
@@ -153,7 +153,7 @@ std::vector<std::pair<int, std::optional<std::vector<int>>>> walk_hull(const std
 }
 
 double nearest_gap(const Scene& s, const VecX& q, int pair) {
-  Touch touch(s, q, pair, 4);
+  ManifoldTouch touch(s, q, pair, 4);
   Contact c{};
   return touch.manifolds.nearest(pair, touch.at, c) ? c.gap : std::numeric_limits<double>::quiet_NaN();
 }
@@ -256,8 +256,8 @@ void expose_manifold(nb::module_& m) {
       " spans: steps after one in which no pair comes near may look at none.");
   m.def(
       "distance_noise",
-      [](const Scene& s, const VecX& q, int pair) { return Touch(s, q, pair, 1).manifolds.noise(pair); }, "scene"_a,
-      "q"_a, "pair"_a, "How far the distance of a pair may be from the gap of its lowest point [m].");
+      [](const Scene& s, const VecX& q, int pair) { return ManifoldTouch(s, q, pair, 1).manifolds.noise(pair); },
+      "scene"_a, "q"_a, "pair"_a, "How far the distance of a pair may be from the gap of its lowest point [m].");
   m.def("nearest_gap", &nearest_gap, "scene"_a, "q"_a, "pair"_a,
         "Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.");
   m.def(

@@ -74,7 +74,7 @@ nb::dict of_rows(ProblemLog::Rows&& posed) {
   return d;
 }
 
-Dict take(SteppedWorld& sim) {
+Dict take_problems(SteppedWorld& sim) {
   nb::list dense, contact;
   for (ProblemLog::Blocks& posed : sim.problems().take_blocks()) dense.append(of_blocks(std::move(posed)));
   for (ProblemLog::Rows& posed : sim.problems().take_rows()) contact.append(of_rows(std::move(posed)));
@@ -97,7 +97,7 @@ void expose_posed_problems(nb::class_<SteppedWorld>& simulator) {
           },
           "From now on the contact problems of steps are kept for take_problems().")
       .def(
-          "take_problems", &take,
+          "take_problems", &take_problems,
           "Return the contact problems kept since the last call, in their order: \"dense\", those of dense steps, with "
           "the arguments of BlockContacts, start (rows,) [N s] and bound [J]; \"contact\", those of contact steps, "
           "with "

@@ -27,10 +27,6 @@ namespace contactvi {
 
 namespace {
 
-void need(bool condition, const char* what) {
-  if (!condition) throw Error(what);
-}
-
 int stages_of(int order) {
   need(order >= 2 && order <= 2 * kMaxStages && order % 2 == 0, "expected an even order from 2 to 16");
   return order / 2;

@@ -73,7 +73,7 @@ bool numbers_of_array(nb::handle array, std::size_t size, const double*& numbers
 
 // The time after one more step, which is recorded for take(). None: nothing was done, because another call is under way
 // or an input is not a plain array of ordinary numbers. False: the step was made and take() has something to look at.
-nb::object step(SteppedWorld& sim, nb::handle tau, nb::handle target) {
+nb::object step_world(SteppedWorld& sim, nb::handle tau, nb::handle target) {
   static const Progress signals = wrapped(std::nullopt);
   const std::size_t nv = static_cast<std::size_t>(sim.scene().tree.nv);
   const double *force = nullptr, *reference = nullptr;
@@ -264,7 +264,7 @@ void expose_simulator(nb::module_& m) {
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "target"_a = nb::none(),
            "Make steps without the interpreter lock; return nodes, events, statistics and status.")
-      .def("step", &step, "tau"_a = nb::none(), "target"_a = nb::none(),
+      .def("step", &step_world, "tau"_a = nb::none(), "target"_a = nb::none(),
            "Make one step, recorded for take(); return the time [s]. None: not made, with these inputs or now. False: "
            "made, and take() is to be looked at.")
       .def("take", &take, "Return what step() has recorded since the last take(), as advance() does; None: nothing.")

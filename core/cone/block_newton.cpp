@@ -9,7 +9,7 @@ namespace {
 // Shift of the natural map's derivative: redundant contacts have no unique impulses, and each step comes nearer by this
 // factor at best. Smaller ones lose digits to rounding.
 constexpr double kShift = 1e-7;
-constexpr int kHalvings = 5;        // of a step
+constexpr int kStepHalvings = 5;    // of a step
 constexpr double kDecrease = 1e-3;  // share of the expected decrease that is asked for
 constexpr double kShortStep = 0.1;  // below: the linearisation says too little to go on
 
@@ -37,7 +37,7 @@ double BlockNewton::step(const BlockSystem& system, BlockFactor& factor) {
   for (int c = 0; c < m; ++c) change_[c].noalias() -= K_[c] * system.speed(c, velocity_);
   const double before = merit(system, point_);
   double length = 1.0;
-  for (int k = 0; k <= kHalvings; ++k, length *= 0.5) {
+  for (int k = 0; k <= kStepHalvings; ++k, length *= 0.5) {
     for (int c = 0; c < m; ++c) trial_.lambda[c] = point_.lambda[c] + length * change_[c];
     system.update(trial_);
     if (merit(system, trial_) < (1.0 - kDecrease * length) * before) {

@@ -10,13 +10,13 @@ namespace contactvi {
 
 namespace {
 
-constexpr int kSweeps = 12;  // tried first, as long as they halve the residual in kBetweenChecks
-constexpr int kBetweenChecks = 3;
+constexpr int kNormalSweeps = 12;  // tried first, as long as they halve the residual in kNormalBetweenChecks
+constexpr int kNormalBetweenChecks = 3;
 constexpr int kNewtonSteps = 6, kPolishSteps = 3;
-constexpr int kSweepsAfter = 3;  // a Newton step
-constexpr int kStalled = 3;      // steps that do not halve the residual, until the next method
-constexpr double kShift = 1e-8;  // of the natural map's derivative, as in block_newton.cpp
-constexpr double kBoundary = 0.995, kLeastCentering = 1e-6;
+constexpr int kSweepsAfter = 3;        // a Newton step
+constexpr int kNormalStalled = 3;      // steps that do not halve the residual, until the next method
+constexpr double kNormalShift = 1e-8;  // of the natural map's derivative, as in block_newton.cpp
+constexpr double kNormalBoundary = 0.995, kNormalLeastCentering = 1e-6;
 constexpr double kNearPath = 1e-2;  // start of the interior point, of the scale of speeds
 constexpr double kNearEnd = 1e-5;   // residual from which it is interrupted for Newton steps
 constexpr int kStalledPath = 5;     // its iterations that do not halve the residual
@@ -27,7 +27,7 @@ constexpr double kRigid = 1e-11, kSoft = 1e-6;
 constexpr double kOpen = 1e-6;     // of the scale: a gap that is not kept
 constexpr double kNoWorse = 1.01;  // between gaps that are not kept
 // A cone whose edge is kept in spite of rounding.
-constexpr double kInside = 1.0 + 4.0 * std::numeric_limits<double>::epsilon();
+constexpr double kNormalInside = 1.0 + 4.0 * std::numeric_limits<double>::epsilon();
 
 }  // namespace
 
@@ -43,7 +43,7 @@ void BlockNormals::begin(const BlockSystem& system, ConePoint& point) {
     if (is_box(law)) continue;
     if (!has_friction(law)) lambda.tail<2>().setZero();
     low_[c] = law.lower;
-    if (has_friction(law)) low_[c] = std::max(law.lower, lambda.tail<2>().norm() / law.mu * kInside);
+    if (has_friction(law)) low_[c] = std::max(law.lower, lambda.tail<2>().norm() / law.mu * kNormalInside);
     lambda[0] = std::max(lambda[0], low_[c]);
   }
   system.update(point);
@@ -89,7 +89,7 @@ bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, C
     if (is_box(system.contact(c))) continue;
     const double g = system.matrix(c).G(0, 0), w = system.normal_velocity(c, point.v), n = point.lambda[c][0];
     const bool closed = n - w / g > low_[c];
-    weight_[c] = K_[c](0, 0) = closed ? 1.0 / (kShift * g) : 0.0;
+    weight_[c] = K_[c](0, 0) = closed ? 1.0 / (kNormalShift * g) : 0.0;
     pairs_[c].d = closed ? -w * weight_[c] : low_[c] - n;
     system.pull(c, Vec3(pairs_[c].d, 0.0, 0.0), step_);
   }
@@ -106,7 +106,7 @@ bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, C
 int BlockNormals::newton(const BlockSystem& system, BlockFactor& factor, double tolerance, int steps,
                          ConePoint& point) {
   int used = 0, stalled = 0;
-  while (used < steps && best_residual_ > tolerance && stalled < kStalled) {
+  while (used < steps && best_residual_ > tolerance && stalled < kNormalStalled) {
     ++used;
     if (!newton_step(system, factor, point)) break;
     const double before = best_residual_;
@@ -162,10 +162,10 @@ bool BlockNormals::advance(const BlockSystem& system, BlockFactor& factor, doubl
   const double predicted = std::min(1.0, direction(system, factor, 0.0, false));
   if (!(predicted >= 0.0)) return false;
   for (Pair& p : pairs_) p.corrector = p.dn * p.ds;
-  const double centering = std::max(std::pow(1.0 - predicted, 3), kLeastCentering);
+  const double centering = std::max(std::pow(1.0 - predicted, 3), kNormalLeastCentering);
   const double share = direction(system, factor, centering * mean_, true);
   if (!(share >= 0.0)) return false;
-  const double length = std::min(1.0, kBoundary * share);
+  const double length = std::min(1.0, kNormalBoundary * share);
   for (int c = 0; c < system.contacts(); ++c) {
     if (is_box(system.contact(c))) continue;
     Pair& p = pairs_[c];
@@ -216,9 +216,9 @@ int BlockNormals::run(const BlockSystem& system, BlockFactor& factor, double tol
   begin(system, point);
   keep(system, point);
   double last = best_residual_;
-  for (int k = 1; k <= kSweeps && best_residual_ > tolerance; ++k) {
+  for (int k = 1; k <= kNormalSweeps && best_residual_ > tolerance; ++k) {
     sweep(system, point);
-    if (k % kBetweenChecks != 0) continue;
+    if (k % kNormalBetweenChecks != 0) continue;
     system.update(point);
     keep(system, point);
     if (best_residual_ > kHalved * last) break;

@@ -8,7 +8,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kLeastMobility = 1e-12;  // of the largest diagonal: keeps what nothing can move finite
+constexpr double kLeastDenseMobility = 1e-12;  // of the largest diagonal: keeps what nothing can move finite
 }
 
 void DenseSystem::reserve(int rows) {
@@ -31,7 +31,7 @@ void DenseSystem::start(const ConeProblem& problem) {
   impulses_.setZero(problem.b.size());
   const auto& G = problem.G;
   const double most = G.rows() > 0 ? G.diagonal().cwiseAbs().maxCoeff() : 0.0;
-  const double floor = most > 0.0 ? kLeastMobility * most : 1.0;
+  const double floor = most > 0.0 ? kLeastDenseMobility * most : 1.0;
   scale_ = kLeastDivisor;
   for (const ConeContact& c : problem.contacts) {
     if (c.frozen && c.box > 0.0) {

@@ -9,10 +9,10 @@ namespace contactvi {
 namespace {
 
 // Shift as a share of max diag G: a smaller one amplifies rounding, from a larger one the unshifted solution is far.
-constexpr double kShift = 1e-5;
-constexpr double kLargestShift = 1e-2;   // of a contact's own diagonal, whose unit may be another
-constexpr double kSmallestScale = 1e-8;  // of max diag G: keeps r finite for a contact that nothing can move
-constexpr double kTouching = 1e-9;       // of the terms: velocity and load of a contact that touches without load
+constexpr double kMapShift = 1e-5;
+constexpr double kLargestOwnShift = 1e-2;  // of a contact's own diagonal, whose unit may be another
+constexpr double kSmallestScale = 1e-8;    // of max diag G: keeps r finite for a contact that nothing can move
+constexpr double kTouching = 1e-9;         // of the terms: velocity and load of a contact that touches without load
 // Share of the error relative to b that counts: a solution is one to 1e-12 of the terms, but to 1e-8 of b at least.
 constexpr double kAmplified = 1e-4;
 
@@ -65,7 +65,7 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
       tangent_[i] = std::max(largest_sum(G, n + 1, c.friction_rows()), smallest);
       if (c.rolling > 0.0) rolling_[i] = std::max(largest_sum(G, n + c.rolling_row(), 2), smallest);
     }
-    shift_[i] = own > 0.0 ? std::min(kShift * largest, kLargestShift * own) : kShift * largest;
+    shift_[i] = own > 0.0 ? std::min(kMapShift * largest, kLargestOwnShift * own) : kMapShift * largest;
     const double speed = std::max({std::abs(problem.b[n]), c.lower * normal_[i], excused});
     energy_ = std::max(energy_, speed * speed / normal_[i]);
     if (c.rows > 1) energy_ = std::max(energy_, problem.b.segment<2>(n + 1).squaredNorm() / tangent_[i]);

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/disjoint_sets.hpp"
+#include "base/tolerances.hpp"
 
 namespace contactvi {
 
@@ -12,11 +13,10 @@ constexpr double kRedundant = 1e-10;  // of the rows of equations, scaled: less 
 // Of the longest row of a group: shorter ones are not scaled to one. A planar loop on a body that hardly tilts has a
 // row across its plane that is almost zero, and depends on the others but for rounding.
 constexpr double kShort = 1e-2;
-constexpr double kStill = 1e-11;  // of the speeds: slower is at rest
-constexpr double kIdle = 1e-10;   // of a row of a contact: what equations leave of it is rounding
+constexpr double kIdle = 1e-10;  // of a row of a contact: what equations leave of it is rounding
 // A block of more degrees of freedom, on which less than this share of them in rows acts, is reduced: a smaller one
 // costs less as it is.
-constexpr Eigen::Index kSmall = 24;
+constexpr Eigen::Index kSmallReduced = 24;
 constexpr double kFewRows = 0.75;
 }  // namespace
 
@@ -155,7 +155,7 @@ VecX ReducedSolver::Group::velocity(const VecX& u) const {
 // The basis S of a group, and its block of the reduced problem.
 void ReducedSolver::choose(const BlockProblem& problem, Group& group, int number) {
   const auto size = group.free() ? static_cast<Eigen::Index>(group.dofs.size()) : group.N.cols();
-  group.few = size > kSmall && group.touching < kFewRows * static_cast<double>(size);
+  group.few = size > kSmallReduced && group.touching < kFewRows * static_cast<double>(size);
   group.block = size == 0 || (group.few && group.touching == 0) ? -1 : reduced_.blocks();
   group.first = reduced_.start.back();
   if (group.block < 0) return;
@@ -215,7 +215,7 @@ void ReducedSolver::prepare(const BlockProblem& problem) {
       if (block >= 0) groups_[group_of_[block]].touching += c.rows;
   for (const Group& group : groups_) {
     const auto size = static_cast<Eigen::Index>(group.dofs.size());
-    reduces_ |= size > kSmall && group.touching < kFewRows * static_cast<double>(size);
+    reduces_ |= size > kSmallReduced && group.touching < kFewRows * static_cast<double>(size);
   }
   if (!reduces_) {
     solver_.prepare(problem);

@@ -3,15 +3,14 @@
 #include <cmath>
 #include <limits>
 
+#include "base/tolerances.hpp"
 #include "contact/contact_step.hpp"
 #include "model/constraint_check.hpp"
 #include "model/constraints.hpp"
 
 namespace contactvi {
 
-namespace {
-constexpr double kStill = 1e-11;  // of the speeds: slip below it is rounding
-}  // namespace
+namespace {}  // namespace
 
 // The rows of constraints and joint friction at q; the guards are placed there.
 // motions: those of the time t that are known.

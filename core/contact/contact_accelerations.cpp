@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/tolerances.hpp"
 #include "contact/contact_step.hpp"
 #include "contact/delassus.hpp"
 #include "step/energy.hpp"
@@ -18,7 +19,6 @@ constexpr double kSide = 1e-5;     // [m; rad] displacement of the finite differ
 constexpr double kLongest = 1e-3;  // [s] and its time at most
 constexpr double kNoise = 1e-9;    // of the largest acceleration: error of the finite differences,
 constexpr double kAgree = 1e-7;    // and residual that they leave where contacts share their load
-constexpr double kStill = 1e-11;   // of the speeds: a joint that sticks
 constexpr double kFalling = 0.35;  // of the larger force: one extrapolated to less may reach zero soon
 
 // Friction against spinning and rolling goes on in the direction that it has.

@@ -9,7 +9,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kShare = 1.0 / 12.0;  // of the squares of angles and changes of velocity, see energy_error
+constexpr double kErrorShare = 1.0 / 12.0;  // of the squares of angles and changes of velocity, see energy_error
 constexpr double kGauss =
     10.0;  // of the accelerations without contacts: those with them are hardly more, see energy_error
 constexpr double kGapError = 1e-9;  // [m] of an overlap that a nominal step may move bodies out of
@@ -75,7 +75,7 @@ double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) {
     trapezoid = std::abs((lambda_ + lambda_end_).head(bilateral_).dot(mean));
   }
   const double turned = turn * turn * kinetic, free = kGauss * (free_change(p0, p1) + turned);
-  return trapezoid + kShare * (turned + std::min(free, std::abs((p1 - p0).dot(v1_ - v_start_)))) +
+  return trapezoid + kErrorShare * (turned + std::min(free, std::abs((p1 - p0).dot(v1_ - v_start_)))) +
          kGapError * (mass * scene_->tree.gravity.norm() + impulses / std::max(h_, nominal_h_));
 }
 

@@ -19,15 +19,16 @@ constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking 
 // rows agree only as far as the iterations have come; better impulses would press the points of a body against each
 // other.
 constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
-constexpr double kAcceptShare = 1e-2;                // of the last change of the velocities, relative: in between
-constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
-constexpr double kShortRim = 1e-9, kShort = 1e-5;    // of a nominal step; see counts_by_rate
-constexpr double kStalled = 1e3;                     // of the convergence limit: iterations that stall below it end
-constexpr int kIdle = 4;                             // iterations without gain that count as a stall
-constexpr double kBest = 1e-4;                       // smallest contraction rate that is assumed
-constexpr double kRemembered = 10.0;                 // times the contraction seen in an earlier step: that of this one
-constexpr double kSameTime = 1e-13;                  // of 1 s + t: times that differ less are equal
-constexpr double kSettled = 1e-3;                    // relative change of v from which on the contact matrix is kept
+constexpr double kAcceptShare = 1e-2;  // of the last change of the velocities, relative: in between
+constexpr double kAgreeFirst = 1e-4,
+                 kAgreeSettled = 1e-7;             // relative disagreement of dependent rows: at first, when settled
+constexpr double kShortRim = 1e-9, kShort = 1e-5;  // of a nominal step; see counts_by_rate
+constexpr double kStalled = 1e3;                   // of the convergence limit: iterations that stall below it end
+constexpr int kIdle = 4;                           // iterations without gain that count as a stall
+constexpr double kBest = 1e-4;                     // smallest contraction rate that is assumed
+constexpr double kRemembered = 10.0;               // times the contraction seen in an earlier step: that of this one
+constexpr double kSameTime = 1e-13;                // of 1 s + t: times that differ less are equal
+constexpr double kSettled = 1e-3;                  // relative change of v from which on the contact matrix is kept
 }  // namespace
 
 ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds)
@@ -282,8 +283,9 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
-    const Agreement agreement = settled ? Agreement{kAgree, std::clamp(kAcceptShare * relative, kAccept, kAcceptFirst)}
-                                        : Agreement{kAgreeFirst, kAcceptFirst};
+    const Agreement agreement =
+        settled ? Agreement{kAgreeSettled, std::clamp(kAcceptShare * relative, kAccept, kAcceptFirst)}
+                : Agreement{kAgreeFirst, kAcceptFirst};
     const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0, agreement);
     if (k == 0) find_paradox();
     if (!solved) {

@@ -12,7 +12,6 @@ namespace contactvi {
 
 namespace {
 constexpr int kStageIterations = 40;
-constexpr double kStill = 1e-11;          // of the speeds: a slip below it is rest, with the friction of rest
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
 constexpr int kGapIterations = 30, kFirstGapIterations = 3;

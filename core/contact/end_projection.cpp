@@ -2,16 +2,16 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/tolerances.hpp"
 #include "contact/contact_step.hpp"
 #include "contact/delassus.hpp"
+#include "contact/persistent_geometry.hpp"
 #include "geometry/line_contact.hpp"
 
 namespace contactvi {
 
 namespace {
-constexpr double kClosed = 1e-12;    // [m] below this gap a contact without load takes part in the velocity impulse
-constexpr double kSwing = 0.95;      // cosine of the angle by which the contact point of a rim may run around in a step
-constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
+constexpr double kClosed = 1e-12;  // [m] below this gap a contact without load takes part in the velocity impulse
 }  // namespace
 
 // From the end of the step with its position impulses to the node: p1 and v1.
@@ -55,7 +55,7 @@ bool ContactStep::velocity_impulses() {
     const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
     const double limit = cones_[friction_rows_ + i].mu * lambda_[r];
     const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
-    out.slipped = on_cone && s.norm() > kSlipping * speed;
+    out.slipped = on_cone && s.norm() > kStill * speed;
     if (!out.slipped) continue;
     out.slip = s;
     cones_[friction_rows_ + i].d = s.normalized();
@@ -144,7 +144,7 @@ bool ContactStep::solve_end(VecX& lambda) {
   lambda.setZero();
   if (rows == 0) return true;
   for (int attempt = 0; attempt < 3; ++attempt) {
-    if (!solve_rows(end_cones_, G, b_sub_, kSlipping * 1e-3 * speed, x_, true, Agreement())) {
+    if (!solve_rows(end_cones_, G, b_sub_, kStill * 1e-3 * speed, x_, true, Agreement())) {
       // In Painleve's paradox no force keeps a contact closed that goes on slipping.
       bool frozen = false;
       for (ConeContact& cone : end_cones_) {
@@ -155,7 +155,7 @@ bool ContactStep::solve_end(VecX& lambda) {
       x_.setZero();
       continue;
     }
-    const bool turned = unfreeze_turned(G, kSlipping * speed);
+    const bool turned = unfreeze_turned(G, kStill * speed);
     note_kept_directions(attempt == 0);
     if (!turned) break;
   }
@@ -180,8 +180,7 @@ void ContactStep::note_kept_directions(bool first) {
 
 void ContactStep::set_outcomes() {
   for (int k = 0; k < friction_rows_; ++k)
-    friction_outcomes_[k].slips =
-        std::abs(v1_[friction_joints_[k].dof]) > kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+    friction_outcomes_[k].slips = std::abs(v1_[friction_joints_[k].dof]) > kStill * (1.0 + v1_.cwiseAbs().maxCoeff());
   const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     ContactOutcome& out = outcomes_[i];
@@ -203,7 +202,7 @@ void ContactStep::set_outcomes() {
       out.position_impulse.tail<2>() = lambda_.segment<2>(r + 1);
       out.velocity_impulse.tail<2>() = lambda_end_.segment<2>(r + 1);
       out.slip_W = end.slip(w_end_.segment<2>(r + 1));
-      out.slips = out.slip_W.norm() > kSlipping * speed;
+      out.slips = out.slip_W.norm() > kStill * speed;
     }
     if (persistent.mu > 0.0 && !(persistent.sticks && !out.slipped && !out.slips)) {
       const Eigen::Vector2d before = slip_before(i);
@@ -240,7 +239,7 @@ ContactStepRecord ContactStep::record() const {
   r.W0 = node0_.W;
   r.W1 = node1_.W;
   r.constrained = bilateral_ > 0;
-  const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+  const double still = kStill * (1.0 + v1_.cwiseAbs().maxCoeff());
   for (int k = 0; k < friction_rows_; ++k) {
     const FrictionJoint& joint = friction_joints_[k];
     const FrictionJointOutcome& out = friction_outcomes_[k];
@@ -336,7 +335,7 @@ void ContactStep::commit() {
     }
     reference_positions_[i] = geometry_.reference(persistent);
   }
-  const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+  const double still = kStill * (1.0 + v1_.cwiseAbs().maxCoeff());
   for (FrictionJoint& joint : friction_joints_) {
     const bool sticks = std::abs(v1_[joint.dof]) <= still && joint.iq >= 0;
     if (sticks && !joint.anchored) joint.anchor = q1_[joint.iq];

@@ -2,11 +2,11 @@
 
 #include <cmath>
 
+#include "base/tolerances.hpp"
+
 namespace contactvi {
 
-namespace {
-constexpr double kStill = 1e-11;  // of the speeds: a joint that sticks
-}  // namespace
+namespace {}  // namespace
 
 void settle_joints(std::vector<FrictionJoint>& joints, const VecX& q, const VecX& v) {
   const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());

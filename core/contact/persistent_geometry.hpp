@@ -6,6 +6,9 @@
 
 namespace contactvi {
 
+// Cosine of the angle by which the contact point of a rim may run around in a step, or between two nodes.
+constexpr double kSwing = 0.95;
+
 // All functions are those of the configuration at which the guards are placed.
 class PersistentGeometry {
  public:

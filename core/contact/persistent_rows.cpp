@@ -2,14 +2,13 @@
 
 #include <cmath>
 
+#include "base/tolerances.hpp"
+#include "contact/persistent_geometry.hpp"
 #include "geometry/line_contact.hpp"
 
 namespace contactvi {
 
-namespace {
-constexpr double kStill = 1e-11;  // of the speeds: slip below it has no direction
-constexpr double kSwing = 0.95;   // cosine of the angle by which the point of a rim may run around between two nodes
-}  // namespace
+namespace {}  // namespace
 
 void PersistentRows::set(const std::vector<PersistentContact>& contacts, const std::vector<FrictionJoint>& joints,
                          int places) {

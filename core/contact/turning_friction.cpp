@@ -2,13 +2,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/tolerances.hpp"
 #include "contact/contact_step.hpp"
 
 namespace contactvi {
 
 namespace {
-constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
-constexpr double kOnCone = 1e-9;     // of its bound: friction that is less below it does not hold
+constexpr double kOnCone = 1e-9;  // of its bound: friction that is less below it does not hold
 }  // namespace
 
 // What contact i did in the step, from its position impulses: whether it slipped with the spin as a third component of
@@ -22,7 +22,7 @@ void ContactStep::classify_turning(std::size_t i, double speed) {
   const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
   const auto moves = [&](int first, int size, double bound) {
     return lambda_.segment(r + first, size).norm() >= bound * (1.0 - kOnCone) &&
-           s.segment(first, size).norm() > kSlipping * speed;
+           s.segment(first, size).norm() > kStill * speed;
   };
   out.slipped = moves(1, count, persistent.mu * lambda_[r]);
   if (out.slipped) {
@@ -57,7 +57,7 @@ void ContactStep::set_turning_outcome(std::size_t i, double speed) {
     return 0.5 * (lambda_[row] * (before + during) + lambda_end_[row] * (during + w_end_[row]));
   };
   out.spin = persistent.spinning > 0.0 ? w_end_[r + 3] : 0.0;
-  out.slips = std::hypot(out.slip_W.norm(), out.spin) > kSlipping * speed;
+  out.slips = std::hypot(out.slip_W.norm(), out.spin) > kStill * speed;
   out.friction_work = 0.0;
   if (!persistent.sticks || out.slipped || out.slips)
     for (int k = 1; k <= persistent.friction_rows(); ++k) out.friction_work += work(r + k);
@@ -65,7 +65,7 @@ void ContactStep::set_turning_outcome(std::size_t i, double speed) {
   out.rolls = false;
   if (!(persistent.rolling > 0.0)) return;
   const Vec3 rolling = w_end_[roll] * out.t1 + w_end_[roll + 1] * out.t2;
-  out.rolls = rolling.norm() > kSlipping * speed;
+  out.rolls = rolling.norm() > kStill * speed;
   if (out.rolls) out.roll_W = rolling;
   if (!persistent.roll.isZero(0.0) || out.rolled || out.rolls) out.friction_work += work(roll) + work(roll + 1);
 }

@@ -20,9 +20,9 @@ constexpr double kClear = 3.0;
 // chord; a parabola needs 1.
 constexpr double kChord = 3.0;
 // Parts in which a dip is looked for: a force that acts for less changes the motion by the cube of that, 1e-14.
-constexpr double kFinest = 0x1p-16;
-constexpr double kSmooth = 0.125;  // parts of a cell that are cut further even if a root is seen in them
-constexpr int kMostProbes = 60;    // exact partial steps to one switch
+constexpr double kFinestCell = 0x1p-16;
+constexpr double kSmoothPart = 0.125;  // parts of a cell that are cut further even if a root is seen in them
+constexpr int kMostProbes = 60;        // exact partial steps to one switch
 constexpr double kFarOff = 4.0;  // widths of a part of a step: roots on the path are not farther from the polynomial's
 // Where a function that is zero at the start of a step is looked at first, and by how much further each time.
 constexpr double kFirstLook = 0x1p-30, kFurther = 8.0;
@@ -120,8 +120,8 @@ Search SwitchFinder::first(const Sample& a, const Sample& b, double width) {
   bool crosses = false;
   for (Eigen::Index k = 0; k < b.values.size(); ++k)
     crosses |= is_armed(static_cast<int>(k)) ? b.values[k] <= 0.0 : b.values[k] < -kZero;
-  if (part <= std::max(kFinest, kSmooth * width) && crosses) return cross(a, b);
-  if (part <= kFinest) return Search::kNone;
+  if (part <= std::max(kFinestCell, kSmoothPart * width) && crosses) return cross(a, b);
+  if (part <= kFinestCell) return Search::kNone;
   const Sample m = on_path(0.5 * (a.at + b.at));
   bool clear = true;
   for (Eigen::Index k = 0; k < b.values.size(); ++k) {
@@ -174,7 +174,7 @@ Search SwitchFinder::cross(const Sample& a, const Sample& b) {
 // path.
 Search SwitchFinder::locate(int function, double lo, double hi, double root, double slope) {
   VecX values(start_.size());
-  const double width = std::max(hi - lo, kFinest);
+  const double width = std::max(hi - lo, kFinestCell);
   bool lo_sure = lo <= 0.0, hi_sure = false;
   double x = root, before = -1.0, value_before = 0.0;
   for (int k = 0; k < kMostProbes; ++k) {

@@ -4,13 +4,11 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <limits>
 
 namespace contactvi {
 
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // A fat box has room for so many steps like the present one: a box is renewed about every 25 steps.
 constexpr double kSteps = 32.0;
 // Up to so many pairs are looked at one by one where a box is renewed: a box in the tree, put there and asked for its
@@ -26,7 +24,7 @@ constexpr double kFewestSteps = 4.0;
 // get are renewed: else each would end a span of its own. More renews boxes that last, less makes spans shorter.
 constexpr double kRenewed = 0.5;
 // Of the room: what is left for rounding.
-constexpr double kRounding = 1e-3;
+constexpr double kRoomRounding = 1e-3;
 
 double room_for(const Geometry& g, double motion) {
   const double size = g.box_half.norm();
@@ -121,7 +119,7 @@ void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer
     } else if (!geometry.unbounded) {
       // The step may end before the place where the box is made, by at most its motion.
       const double room = room_for(geometry, motion[g]);
-      limits_[g] = odometer[g] + (1.0 - kRounding) * room - motion[g];
+      limits_[g] = odometer[g] + (1.0 - kRoomRounding) * room - motion[g];
       boxes_[g] = box_of(geometry, at).fattened(room);
       if (!is_number(boxes_[g])) {  // the step failed: near to everything, until a step has a finite end
         limits_[g] = -kInfinity;

@@ -9,7 +9,7 @@ namespace contactvi {
 namespace {
 
 // Edges at a smaller angle [rad] have no crossing of their own: vertices near to it bound the contact as well.
-constexpr double kParallel = 1e-5;
+constexpr double kEdgeOn = 1e-5;
 
 // One side of a pair: a shape with faces (plane) and the shape over them (other).
 struct Over {
@@ -228,7 +228,7 @@ Vec3 rim_point(const ShapeFeatures::Rim& rim, int k) {
 bool cross_lines(const Line& a, const Line& b, const Vec3& n, double border, Crossing& c) {
   const Vec3 cross = a.direction.cross(b.direction);
   const double in_view = n.dot(cross);
-  if (std::abs(in_view) < kParallel) return false;
+  if (std::abs(in_view) < kEdgeOn) return false;
   const Vec3 d = b.start - a.start, d_b = d.cross(b.direction), d_a = d.cross(a.direction);
   auto beyond = [&](double s, double t) { return std::max({-s, s - a.length, -t, t - b.length}); };
   c.beyond_in_view = beyond(n.dot(d_b) / in_view, n.dot(d_a) / in_view);

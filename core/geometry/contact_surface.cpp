@@ -12,7 +12,7 @@ namespace {
 
 // [m] A point that is this near to the border of a feature may belong to the next one: nearest points are found up to
 // kBorder beyond a border, and the factor keeps what was found clear of it.
-constexpr double kMeeting = 2.0 * kBorder;
+constexpr double kMeetingBorder = 2.0 * kBorder;
 // [rad] A normal that is this near to the border of the normals of a feature may belong to the next one, and one that
 // is no farther from the normals of a flat feature belongs to it. Normals are differences of points, with a rounding of
 // 1e-15 m, over the distance of two cores, which are 1e-3 m apart and more: 1e-12 rad, and another factor of 1000.
@@ -192,7 +192,7 @@ ContactSurface ContactSurface::of(const ShapeFeatures& o, const Pose& pose, int 
 
 const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose& pose, const Vec3& x, const Vec3& m,
                                              bool nearby, ContactSurface& found) {
-  const double near = nearby ? kNearby : kMeeting;
+  const double near = nearby ? kNearby : kMeetingBorder;
   const bool polytope = !o.faces.empty();
   int vertex = 0;
   for (int i = 1; i < static_cast<int>(o.vertices.size()); ++i)
@@ -250,12 +250,13 @@ const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose&
   const ShapeFeatures::Face& f = o.faces[face];
   found = of(o, pose, first_face + face, x, m);
   if (nearby) return nullptr;
-  return f.normal.cross(m).norm() <= kSameNormal && outside_of(o, f, x) < -kMeeting ? nullptr : "a face and its border";
+  return f.normal.cross(m).norm() <= kSameNormal && outside_of(o, f, x) < -kMeetingBorder ? nullptr
+                                                                                          : "a face and its border";
 }
 
 const char* ContactSurface::find_on_cylinder(const ShapeFeatures& o, const Pose& pose, const Vec3& x, const Vec3& m,
                                              bool nearby, ContactSurface& found) {
-  const double near = nearby ? kNearby : kMeeting;
+  const double near = nearby ? kNearby : kMeetingBorder;
   const ShapeFeatures::Edge& axis = o.edges[0];
   const int end = m.dot(o.rims[0].axis) >= 0.0 ? 0 : 1;
   const ShapeFeatures::Rim& rim = o.rims[end];

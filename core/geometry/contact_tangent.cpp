@@ -16,9 +16,9 @@ namespace {
 constexpr double kLeastPivot = 1e-9;
 // Newton's method doubles the digits with each step: what is left after a step below this [rad, and of the size of the
 // bodies] is rounding. From nearest points with 3 digits that are three steps.
-constexpr double kConverged = 1e-9;
-constexpr int kNewton = 20;
-constexpr double kAcross = 1e-9;  // the part of an axis in the tangent plane: with less it has no direction there
+constexpr double kFeatureConverged = 1e-9;
+constexpr int kTangentNewton = 20;
+constexpr double kLeastAcross = 1e-9;  // the part of an axis in the tangent plane: with less it has no direction there
 
 }  // namespace
 
@@ -52,7 +52,7 @@ bool ContactTangent::take_axis(const Pair& pair) {
   axis_body_ = g.body;
   axis_ = pose_of(g.body, twists_.placements()).R * (g.R_BG * law_->axis);
   const double across = axis_.cross(contact_.normal).norm();
-  return across > kAcross || refuse("the axis of its friction is along the normal");
+  return across > kLeastAcross || refuse("the axis of its friction is along the normal");
 }
 
 // About the normal, of the tangents along the axis of friction that depends on the direction.
@@ -149,7 +149,7 @@ bool ContactTangent::approach(const Pair& pair, const Pose (&pose)[2], bool near
 bool ContactTangent::polish() {
   bool converged = false;
   for (int k = 0; !converged; ++k) {
-    if (k == kNewton) return refuse("no nearest points are found on the features: " + names());
+    if (k == kTangentNewton) return refuse("no nearest points are found on the features: " + names());
     if (!set_system()) return false;
     const Vec3 apart = surface_[1].x() - surface_[0].x(), n = contact_.normal;
     Vec6 c = Vec6::Zero();
@@ -166,7 +166,7 @@ bool ContactTangent::polish() {
                        scale_ * (z[4] * tangent_[0] + z[5] * tangent_[1])};
     contact_.normal = (n + z[0] * tangent_[0] + z[1] * tangent_[1]).normalized();
     for (int side = 0; side < 2; ++side) surface_[side].move(s[side], outward(side));
-    converged = z.lpNorm<Eigen::Infinity>() <= kConverged;
+    converged = z.lpNorm<Eigen::Infinity>() <= kFeatureConverged;
   }
   contact_.point_a = surface_[0].x() + surface_[0].sweep() * contact_.normal;
   contact_.point_b = surface_[1].x() - surface_[1].sweep() * contact_.normal;

@@ -8,7 +8,7 @@ namespace {
 
 // Of the size of a polytope: what the rounding of its vertices does to the direction from one of its points to another
 // one, 1e-16 over the 1e-3 m and more between the cores, times its size.
-constexpr double kRounding = 1e-12;
+constexpr double kCoreRounding = 1e-12;
 
 }  // namespace
 
@@ -37,7 +37,7 @@ bool CoreProjection::is_nearest(const Vec3& x, const Vec3& y) const {
     size = std::max(size, v.cwiseAbs().maxCoeff());
     beyond = std::max(beyond, m.dot(v - y));
   }
-  return shape_->faces.empty() || !shape_->rims.empty() || beyond <= kRounding * size;
+  return shape_->faces.empty() || !shape_->rims.empty() || beyond <= kCoreRounding * size;
 }
 
 bool CoreProjection::on_segment(const Vec3& x, Vec3& y, Mat3& change) const {

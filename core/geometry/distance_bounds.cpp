@@ -5,13 +5,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 namespace contactvi {
 
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // Pairs of which something is known at most, 100 kB in all; a power of two. Few pairs are near at one time.
 constexpr std::size_t kMostKnown = 1024;
 

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "geometry/box.hpp"
 #include "model/step_costs.hpp"
@@ -11,7 +10,6 @@ namespace contactvi {
 
 namespace {
 constexpr double kAcross = 1e-9;  // sine of the angle from which on an axis has a direction in a tangent plane
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
 // coal's distances (2e-8).
 constexpr double kMeeting = 1e-7;

@@ -13,7 +13,7 @@ namespace {
 
 // Points closer to a plane than this part of the hull's size lie on it: meshes come in single precision, and the
 // vertices of rounded hulls are intersections of such planes.
-constexpr double kFlat = 4e-7;
+constexpr double kFlatFace = 4e-7;
 // Points closer to each other than this part of the hull's size are one.
 constexpr double kSame = 1e-9;
 // Writes the corners in order of the convex hull of points that lie in one plane, without those on its sides. `all` is
@@ -66,9 +66,9 @@ class FacesOfPoints {
 
 // Which points of a hull its triangles join, points at the same place being one. Finds the points in a plane that
 // touches the hull by walking from one to the next: those above any plane are joined with each other.
-class HullWalk {
+class FaceWalk {
  public:
-  HullWalk(const Points& points, const std::vector<coal::Triangle>& triangles, const std::vector<int>& same)
+  FaceWalk(const Points& points, const std::vector<coal::Triangle>& triangles, const std::vector<int>& same)
       : points_(points), start_(points.size() + 1, 0), count_(points.size(), 0), walk_of_(points.size(), 0) {
     for (const coal::Triangle& t : triangles)
       for (int k = 0; k < 3; ++k) start_[same[t[k]] + 1] += 2;  // No point has more neighbours.
@@ -179,11 +179,11 @@ HullFaces::HullFaces(const Points& points, const std::vector<coal::Triangle>& tr
 }
 
 Polygons HullFaces::merged(double& roughness) const {
-  HullWalk walk(points_, triangles_, same_);
+  FaceWalk walk(points_, triangles_, same_);
   Polygons polygons;
   FacesOfPoints known(points_.size());
   std::vector<int> all, corners;
-  const double flat = kFlat * size_;
+  const double flat = kFlatFace * size_;
   for (const int seed : by_size(points_, triangles_, size_)) {
     const coal::Triangle& t = triangles_[seed];
     const int a = same_[t[0]], b = same_[t[1]], c = same_[t[2]];

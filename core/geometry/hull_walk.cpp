@@ -7,9 +7,9 @@ namespace contactvi {
 
 namespace {
 
-constexpr std::size_t kFew = 96;      // vertices up to which a look at all is quicker
-constexpr double kRounding = 1e-13;   // of the size of a hull
-constexpr double kRoughnesses = 2.0;  // a rough hull is off by its roughness up and down
+constexpr std::size_t kFew = 96;         // vertices up to which a look at all is quicker
+constexpr double kHullRounding = 1e-13;  // of the size of a hull
+constexpr double kRoughnesses = 2.0;     // a rough hull is off by its roughness up and down
 
 // The direction through the middle of a cell of the cube.
 Vec3 middle_of(int cell, int cells) {
@@ -42,7 +42,7 @@ HullWalk::HullWalk(const std::vector<Vec3>& vertices, const std::vector<std::arr
   if (n < kFew) return;
   double size = 0.0;
   for (const Vec3& x : vertices) size = std::max(size, x.cwiseAbs().maxCoeff());
-  slack_ = kRoughnesses * roughness + kRounding * size;
+  slack_ = kRoughnesses * roughness + kHullRounding * size;
   first_.assign(n + 1, 0);
   for (const auto& [i, j] : ends) {
     ++first_[i + 1];

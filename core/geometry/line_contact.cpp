@@ -11,16 +11,16 @@ namespace {
 constexpr double kAlong = 0.1;
 // How far a normal may lie outside of those of an edge or a rim [rad]: the error of the gap is of the order of its
 // square.
-constexpr double kOutside = 1e-6;
+constexpr double kOutsideCone = 1e-6;
 // Of features that would touch next.
-constexpr double kOutsideNext = 0.1;
+constexpr double kOutsideConeNext = 0.1;
 // How much nearer lines may come between the ends of the segment in common than at its ends [m]: well below what gaps
 // of persistent contacts are kept to.
 constexpr double kFlatSag = 2e-11;
-constexpr int kNewton = 12;
-constexpr double kMostTurn = 0.3;     // of a point on a rim in one step of Newton's method [rad]
-constexpr double kConverged = 1e-15;  // such a turn is rounding
-constexpr double kLeastBend = 1e-3;   // of the second derivative of the distance along the rim
+constexpr int kTurnNewton = 12;
+constexpr double kMostTurn = 0.3;    // of a point on a rim in one step of Newton's method [rad]
+constexpr double kTurned = 1e-15;    // such a turn is rounding
+constexpr double kLeastBend = 1e-3;  // of the second derivative of the distance along the rim
 
 // One of the two lines with its shape, and the other one.
 struct Lying {
@@ -43,7 +43,7 @@ void add(const PairView& v, const Lying& l, Feature kind, int i, const Vec3& x, 
   if (!(distance > 0.0) || gap > sink.limit || !is_over(*l.other, along(*l.other, x))) return;
   const Vec3 n = (l.on_b ? 1.0 : -1.0) / distance * from_line;  // from a to b
   const int edge_a = l.on_b ? l.other_edge : l.edge, edge_b = l.on_b ? l.edge : l.other_edge;
-  if (outside_cone(v, edge_a, edge_b, n) > kOutside) return;
+  if (outside_cone(v, edge_a, edge_b, n) > kOutsideCone) return;
   sink.add({feature_number(kind, i, l.other_edge), gap, x - 0.5 * from_line});
 }
 
@@ -58,7 +58,7 @@ void add_ends(const PairView& v, const Lying& l, CandidateSink& sink) {
 // Of the rim of a cylinder: the side of a lying cylinder ends there, or a chord of its end does.
 void add_rims(const PairView& v, const Lying& l, bool upcoming, CandidateSink& sink) {
   const Feature kind = l.on_b ? Feature::kRimLineB : Feature::kRimLineA;
-  const double outside = upcoming ? kOutsideNext : kOutside;
+  const double outside = upcoming ? kOutsideConeNext : kOutsideCone;
   for (int r = 0; r < static_cast<int>(l.shape->rims.size()); ++r) {
     const ShapeFeatures::Rim& rim = l.shape->rims[r];
     const Vec3 c = l.pose->point(rim.center), axis = l.pose->R * rim.axis;
@@ -137,14 +137,14 @@ Vec3 nearest_on_rim(const Vec3& center, const Vec3& axis, double radius, const V
   for (int k = 0;; ++k) {
     const Vec3 from = x - origin;
     apart = from - from.dot(direction) * direction;
-    if (k == kNewton) return apart;
+    if (k == kTurnNewton) return apart;
     // Along the circle, with the angle as parameter.
     const Vec3 e = x - center, t = axis.cross(e);
     const double along_t = t.dot(direction), first = apart.dot(t),
                  second = t.squaredNorm() - along_t * along_t - apart.dot(e);
     const double bend = std::max(second, kLeastBend * radius * (radius + apart.norm()));
     const double turn = std::clamp(-first / bend, -kMostTurn, kMostTurn);
-    if (std::abs(turn) <= kConverged) return apart;
+    if (std::abs(turn) <= kTurned) return apart;
     x = center + std::cos(turn) * e + std::sin(turn) * t;
   }
 }

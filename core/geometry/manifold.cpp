@@ -13,7 +13,6 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // A nearest point at most this far from a face's plane lies on the face [m]: the accuracy of coal's nearest points.
 constexpr double kOnFace = 1e-6;
 // Of the noise of coal's distance: a distance that is deeper than the persistent points by more is another feature.

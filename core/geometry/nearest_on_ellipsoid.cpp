@@ -12,8 +12,8 @@ namespace {
 // [rad] Newton's method doubles the digits with each step: where a step below this one is not followed by a smaller
 // one, what is left is rounding.
 constexpr double kNearlyThere = 1e-9;
-constexpr double kRounding = 1e-15;  // of a place in the frame of the other body
-constexpr int kNewton = 50, kHalvings = 30;
+constexpr double kPlaceRounding = 1e-15;  // of a place in the frame of the other body
+constexpr int kEllipsoidNewton = 50, kHalvings = 30;
 
 // Everything in the frame of the other body.
 class Nearest {
@@ -30,7 +30,7 @@ class Nearest {
   bool run() {
     if (!place()) return false;
     double last = INFINITY;
-    for (int k = 0; k < kNewton; ++k) {
+    for (int k = 0; k < kEllipsoidNewton; ++k) {
       const Vec3 dn = newton_step();
       const double step = dn.norm();
       if (last <= kNearlyThere && !(step < 0.5 * last)) return !projection_ || projection_->is_nearest(x_, y_);
@@ -74,7 +74,7 @@ class Nearest {
   // Turns the normal by dn, or by a half, a quarter of it if falling_ would rise.
   bool turn(const Vec3& dn) {
     const Vec3 n = n_;
-    const double before = falling_ + kRounding * (x_.cwiseAbs().maxCoeff() + y_.cwiseAbs().maxCoeff());
+    const double before = falling_ + kPlaceRounding * (x_.cwiseAbs().maxCoeff() + y_.cwiseAbs().maxCoeff());
     for (int k = 0; k < kHalvings; ++k) {
       n_ = (n + std::ldexp(1.0, -k) * dn).normalized();
       // Of a last step the rounding of falling_ hides the change.

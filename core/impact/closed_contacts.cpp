@@ -149,7 +149,7 @@ bool ImpactSequence::collect_given(const VecX& q, const VecX& p, double t, const
                                    double margin) {
   if (!place(q, p, t)) return false;
   for (int g : guards)
-    if (!add_guard(g, {}, margin)) return fail(StatusCode::kNotFinite, "this contact has no points", g);
+    if (!add_guard(g, {}, margin)) return fail(StatusCode::kImpactUnsolved, "this contact has no points", g);
   return true;
 }
 

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 
 #include "base/root.hpp"
 #include "cone/slip_directions.hpp"
@@ -16,7 +15,6 @@ namespace {
 using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kAccuracy = 5e-14;  // of the velocities, of one step
 // Of the largest slip: one that is smaller has stopped. It falls by a constant share per unit of the path.
 constexpr double kStopped = 1e-15;
@@ -31,15 +29,15 @@ constexpr int kColumns = 8;
 
 // What the normal impulse has done: normal speed, logarithm and angle of the slip, impulse (n, t), work of the normal
 // impulse. The slip is exact to its own last digits however small it becomes.
-struct Progress {
+struct Course {
   double w_n, log_slip, angle;
   Vec3 lambda;
   double work;
 
-  Progress operator+(const Progress& x) const {
+  Course operator+(const Course& x) const {
     return {w_n + x.w_n, log_slip + x.log_slip, angle + x.angle, lambda + x.lambda, work + x.work};
   }
-  Progress operator*(double a) const { return {a * w_n, a * log_slip, a * angle, a * lambda, a * work}; }
+  Course operator*(double a) const { return {a * w_n, a * log_slip, a * angle, a * lambda, a * work}; }
   Vec2 direction() const { return Vec2(std::cos(angle), std::sin(angle)); }
 };
 
@@ -71,7 +69,7 @@ class Impact {
         if (go_straight(impulse, along < 0.0 ? -slip / along : kInfinity)) return true;
         return finish_from_rest();
       }
-      Progress next;
+      Course next;
       if (!step(length, next)) {
         length *= 0.5;
         continue;
@@ -92,7 +90,7 @@ class Impact {
 
  private:
   // Per unit of a path along which the normal impulse grows by |w_t| / mobility: regular where the slip stops.
-  Progress rate(const Progress& x) const {
+  Course rate(const Course& x) const {
     const Vec2 d = x.direction();
     const Vec3 impulse(1.0, -mu_ * d[0], -mu_ * d[1]), w = G_ * impulse / mobility_;
     const double growth = std::exp(x.log_slip);
@@ -100,21 +98,21 @@ class Impact {
             growth / mobility_ * x.w_n};
   }
   // From at_ along the path. False: not accurate enough.
-  bool step(double length, Progress& end) {
-    std::array<Progress, kColumns> row;
+  bool step(double length, Course& end) {
+    std::array<Course, kColumns> row;
     for (int j = 0; j < kColumns; ++j) {
       const int parts = 2 * (j + 1);
-      Progress last = midpoint(length, parts);
+      Course last = midpoint(length, parts);
       for (int k = 0; k < j; ++k) {
         const double ratio = static_cast<double>(parts) / (2 * (j - k));
-        const Progress better = last + (last + row[static_cast<std::size_t>(k)] * -1.0) * (1.0 / (ratio * ratio - 1.0));
+        const Course better = last + (last + row[static_cast<std::size_t>(k)] * -1.0) * (1.0 / (ratio * ratio - 1.0));
         row[static_cast<std::size_t>(k)] = last;
         last = better;
       }
       row[static_cast<std::size_t>(j)] = last;
       if (j == 0) continue;
       // Neville's scheme from above: row[j - 1] is the value one column before.
-      const Progress& before = row[static_cast<std::size_t>(j - 1)];
+      const Course& before = row[static_cast<std::size_t>(j - 1)];
       const double share = std::clamp(std::exp(last.log_slip) / speed_, kLeastShare, 1.0);
       const double slip =
           share * std::max(std::abs(last.log_slip - before.log_slip), std::abs(last.angle - before.angle));
@@ -125,18 +123,18 @@ class Impact {
     }
     return false;
   }
-  Progress midpoint(double length, int parts) const {
+  Course midpoint(double length, int parts) const {
     const double h = length / parts;
-    Progress before = at_, now = at_ + rate(at_) * h;
+    Course before = at_, now = at_ + rate(at_) * h;
     for (int k = 1; k < parts; ++k) {
-      const Progress next = before + rate(now) * (2.0 * h);
+      const Course next = before + rate(now) * (2.0 * h);
       before = now;
       now = next;
     }
     return (before + now + rate(now) * h) * 0.5;
   }
   // Negative before the end of the phase under way.
-  double event(const Progress& x) const {
+  double event(const Course& x) const {
     if (!expands_) return x.w_n;
     switch (law_) {
       case RestitutionLaw::kPoisson:
@@ -150,13 +148,13 @@ class Impact {
   }
   // Moves at_ to where the event is within a step.
   bool locate(double length) {
-    const Progress start = at_;
-    Progress found = start;
+    const Course start = at_;
+    Course found = start;
     const double before = event(start);
     if (before >= 0.0) return true;
     const auto value = [&](double x, double& fx) {
       at_ = start;
-      Progress end;
+      Course end;
       if (!step(x, end)) return false;
       found = end;
       fx = -event(end);
@@ -233,7 +231,7 @@ class Impact {
   double mu_, e_;
   RestitutionLaw law_;
   double closing_, mobility_, speed_;
-  Progress at_, compressed_{0.0, 0.0, 0.0, Vec3::Zero(), 0.0};
+  Course at_, compressed_{0.0, 0.0, 0.0, Vec3::Zero(), 0.0};
   bool expands_ = false, easy_ = false;
   std::vector<char> course_;
 };

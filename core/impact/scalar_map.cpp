@@ -7,9 +7,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kExact = 8e-16;   // of the energies that add up to the scalar: its equation is solved to rounding
-constexpr double kAccept = 1e-12;  // of the kinetic energy of the normal motion
-constexpr double kFar = 0.5;       // of the start impulse: a root farther from it belongs to a grazing impact
+constexpr double kExact = 8e-16;  // of the energies that add up to the scalar: its equation is solved to rounding
+constexpr double kAcceptedEnergy = 1e-12;  // of the kinetic energy of the normal motion
+constexpr double kFar = 0.5;               // of the start impulse: a root farther from it belongs to a grazing impact
 constexpr int kMaxIterations = 30;
 }  // namespace
 
@@ -49,7 +49,7 @@ ImpactResult ScalarMap::correct(const ImpactProblem& problem, const ImpactResult
     if (std::abs(mismatch) < best) {
       best = std::abs(mismatch);
       best_lambda = lambda;
-    } else if (best <= kAccept * normal_energy) {
+    } else if (best <= kAcceptedEnergy * normal_energy) {
       break;  // rounding floor
     }
     if (std::abs(mismatch) <= exact) break;
@@ -62,7 +62,7 @@ ImpactResult ScalarMap::correct(const ImpactProblem& problem, const ImpactResult
     previous = mismatch;
     lambda += change;
   }
-  if (!(best <= kAccept * normal_energy || best <= 16 * exact)) return fall_back(Fallback::kNoConvergence);
+  if (!(best <= kAcceptedEnergy * normal_energy || best <= 16 * exact)) return fall_back(Fallback::kNoConvergence);
   const double gamma_plus = problem.gamma_minus + best_lambda * problem.G_c;
   // With e < 1 a root that separates faster than the approach is an error of the step, not one of the impact.
   const bool gains = problem.restitution < 1.0 && gamma_plus > -problem.gamma_minus;

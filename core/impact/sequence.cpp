@@ -42,7 +42,7 @@ bool ImpactSequence::fail(StatusCode code, const char* message, int guard) {
 
 // Where an impact was not solved: driven constraints may leave the contacts no solution.
 bool ImpactSequence::fail_unsolved(const char* message, int guard) {
-  if (!scene_->tree.elements.driven()) return fail(StatusCode::kNotFinite, message, guard);
+  if (!scene_->tree.elements.driven()) return fail(StatusCode::kImpactUnsolved, message, guard);
   return fail(StatusCode::kConstraint, "what the constraints drive leaves these contacts no way out", guard);
 }
 
@@ -140,7 +140,7 @@ bool ImpactSequence::impact_at_point(ClosedGuard& closed, double e, const Instan
   problem.target = reference_->value;
   ImpactResult result = implicit ? law_->apply(problem, p) : explicit_impulse(problem, p);
   if (law_->implicit() && !implicit) result.fallback = Fallback::kPersistent;
-  if (!result.ok) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
+  if (!result.ok) return fail(StatusCode::kImpactUnsolved, "an impact has no finite impulse", closed.guard);
   carry_over(result);
   closed.impacted = true;
   VecX lambda = VecX::Constant(1, result.impulse);
@@ -245,7 +245,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
   result.iterations += block.iterations;
   if (block.gain > 0.0 && result.fallback == Fallback::kNone) result.fallback = Fallback::kGain;
   if (!result.ok || !p.allFinite())
-    return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
+    return fail(StatusCode::kImpactUnsolved, "an impact has no finite impulse", closed.guard);
   carry_over(result);
   closed.impacted = true;
   const int m = closed.rows_per_point();
@@ -300,7 +300,8 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
     const double loss = c.loss(lambda, p_minus, p);
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
   }
-  if (!p.allFinite()) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", members[0].closed->guard);
+  if (!p.allFinite())
+    return fail(StatusCode::kImpactUnsolved, "an impact has no finite impulse", members[0].closed->guard);
   if (acted && options_.keep_blocks) keep_block(members, first, recording);
   any = acted;  // a closing speed below the accuracy of the problem is zero
   return true;

@@ -13,7 +13,7 @@ const Vec3 kNone = Vec3::Zero();
 constexpr double kTimeStep = 3e-4;  // [s] of differences of the velocity of a frame that the user moves
 
 // One constraint's rows while their changes are written.
-struct Rows {
+struct TangentRows {
   const BodyTwists& twists;
   const Constraint& c;
   const FrameMotion* frame;  // of a, where the user moves it; else null
@@ -46,14 +46,14 @@ struct Rows {
   }
 };
 
-void point(Rows& rows) {
+void point(TangentRows& rows) {
   for (int k = 0; k < 3; ++k, ++rows.row) {
     rows.point(rows.c.b.body, rows.c.b.body, rows.point_b(), Vec3::Unit(k), kNone, 1.0);
     rows.point(rows.c.a.body, rows.c.a.body, rows.point_a(), Vec3::Unit(k), kNone, -1.0);
   }
 }
 
-void distance(Rows& rows) {
+void distance(TangentRows& rows) {
   const Vec3 x_a = rows.point_a(), x_b = rows.point_b(), d = x_b - x_a;
   const double length = d.norm();
   const bool known = length > kLeastDivisor;
@@ -65,7 +65,7 @@ void distance(Rows& rows) {
   ++rows.row;
 }
 
-void weld(Rows& rows) {
+void weld(TangentRows& rows) {
   const Mat3 R_a = rows.axes_a();
   const Vec3 x_b = rows.point_b(), turn_a = rows.turn_a();
   for (int k = 0; k < 3; ++k, ++rows.row) rows.relative(x_b, R_a.col(k), turn_a.cross(R_a.col(k)));
@@ -81,7 +81,7 @@ void weld(Rows& rows) {
   }
 }
 
-void screw(Rows& rows) {
+void screw(TangentRows& rows) {
   const Mat3 R_a = rows.axes_a();
   const Vec3 z_b = rows.axes_b().col(2), x_b = rows.point_b(), turn_a = rows.turn_a(), dz_b = rows.turn_b().cross(z_b);
   for (int k = 0; k < 2; ++k, ++rows.row) rows.relative(x_b, R_a.col(k), turn_a.cross(R_a.col(k)));
@@ -97,7 +97,7 @@ void screw(Rows& rows) {
 }
 
 // The slope of q_b - sum_k c_k q_a^k in q_a.
-void equality(const Tree& tree, const VecCRef& q, const VecCRef& dq, Rows& rows) {
+void equality(const Tree& tree, const VecCRef& q, const VecCRef& dq, TangentRows& rows) {
   const Joint& a = tree.joints[rows.c.joint_a];
   double value = 0.0, slope = 0.0, bend = 0.0;  // bend: half of the second derivative
   for (auto k = rows.c.numbers.rbegin(); k != rows.c.numbers.rend(); ++k) {
@@ -173,7 +173,7 @@ void ConstraintTangent::change(const VecCRef& dq, double dt, Eigen::Ref<MatX> dW
   const std::vector<Constraint>& all = tree_->elements.constraints;
   for (std::size_t k = 0; k < all.size(); ++k) {
     const Constraint& c = all[k];
-    Rows rows{twists_, c, moving_frame(c) != nullptr ? &frames_[k].at : nullptr, dt, dW, c.row};
+    TangentRows rows{twists_, c, moving_frame(c) != nullptr ? &frames_[k].at : nullptr, dt, dW, c.row};
     switch (c.kind) {
       case ConstraintKind::kPoint:
         point(rows);

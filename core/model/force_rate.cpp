@@ -9,7 +9,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kApart = 1e-4;  // [s]
+constexpr double kRateSpan = 1e-4;  // [s]
 // How far this difference and one of second order may be apart: of the rate, by which they are 1e-2 apart where the
 // force swings with 1000 rad/s, and by its size where it jumps; and of the forces there [1/s], by which they are 1e-2
 // apart where the rate of one that swings with 100 rad/s passes zero, and by 1e4 times a jump.
@@ -26,7 +26,7 @@ bool forces_depend_on_time(const Elements& e) {
 void force_rate(ForceField& field, double t, double before, const VecCRef& q, const VecCRef& v, double scale,
                 VecRef rate) {
   rate.setZero();
-  const double length = std::min(kApart, 0.25 * before);
+  const double length = std::min(kRateSpan, 0.25 * before);
   if (!(t - length < t)) return;  // a step of no length, in which no force does anything
   const auto n = rate.size();
   VecX size = VecX::Zero(n), other = size, force(n);

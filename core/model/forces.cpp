@@ -12,7 +12,7 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kDifference = 2e-5;  // [m; rad] by which a configuration moves for a difference
+constexpr double kForceDifference = 2e-5;  // [m; rad] by which a configuration moves for a difference
 
 // V, dV/dx and d2V/dx2 of a joint's polynomial.
 struct Polynomial {
@@ -264,7 +264,7 @@ void ForceField::add_gradient(const VecCRef& q, VecRef dV) {
 
 double ForceField::power_rate(const VecCRef& q, const VecCRef& v, const VecCRef& a) {
   if (!any_) return 0.0;
-  const double delta = kDifference / (1.0 + v.cwiseAbs().maxCoeff() + std::sqrt(a.cwiseAbs().maxCoeff()));
+  const double delta = kForceDifference / (1.0 + v.cwiseAbs().maxCoeff() + std::sqrt(a.cwiseAbs().maxCoeff()));
   // By central differences of order 4.
   double sum = 0.0;
   for (const auto& [side, weight] : {std::pair(1.0, 8.0), {-1.0, -8.0}, {2.0, -1.0}, {-2.0, 1.0}}) {

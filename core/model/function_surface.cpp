@@ -5,6 +5,8 @@
 #include <limits>
 #include <vector>
 
+#include "model/foot_search.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -12,17 +14,13 @@ namespace {
 using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 // A step of this length, of the distance and in metres, is the last one: Newton's method doubles the digits, and with a
 // Hessian by differences a step leaves 1e-6 of its length.
-constexpr double kLast = 1e-9, kLastLength = 1e-10;
-constexpr int kRounds = 100;
+constexpr double kLastStep = 1e-9, kLastStepLength = 1e-10;
+constexpr int kFunctionRounds = 100;
 // Of the distance, and [m]: what may be left along the surface of the way from the foot to the point. More is left in a
 // kink, where steps become short because none descends.
 constexpr double kSkew = 1e-6, kSkewLength = 1e-9;
-// Squares of distances are known to rounding: one that is larger by this part has not grown.
-constexpr double kRounding = 1e-13;
-constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-6;
 // Searches begin at the place below and, of points higher than this [m], around it.
 constexpr double kAround = 1e-6;
 constexpr int kDirections = 8;
@@ -49,7 +47,7 @@ class FootSearch {
     if (!std::all_of(values, values + HeightSurface::kValues, [](double v) { return std::isfinite(v); })) return fail();
     const Vec2 across = next_ - x_.head<2>();
     const double up = values[0] - x_[2], square = across.squaredNorm() + up * up;
-    if (last_ || square <= square_ * (1.0 + kRounding)) {
+    if (last_ || square <= square_ * (1.0 + kSquareRounding)) {
       square_ = square;
       at_ = next_;
       up_ = up;
@@ -95,7 +93,7 @@ class FootSearch {
     if (damping_ > 0.0 || !(least > 0.0)) hessian.diagonal().array() += needed;
     const Vec2 step = -hessian.inverse() * skew();
     next_ = at_ + step;
-    last_ = step.norm() <= kLast * std::sqrt(square_) + kLastLength;
+    last_ = step.norm() <= kLastStep * std::sqrt(square_) + kLastStepLength;
   }
 
   Vec3 x_;
@@ -109,7 +107,7 @@ class FootSearch {
 // Several searches side by side: the function is asked once in each round for all that go on.
 void follow(std::vector<FootSearch>& searches, const HeightSurface::Function& function) {
   std::vector<double> places, values;
-  for (int round = 0; round < kRounds; ++round) {
+  for (int round = 0; round < kFunctionRounds; ++round) {
     places.clear();
     for (const FootSearch& s : searches)
       if (!s.ends()) places.insert(places.end(), {s.next()[0], s.next()[1]});

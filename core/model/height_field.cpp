@@ -2,22 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "model/cubic_splines.hpp"
+#include "model/foot_search.hpp"
 
 namespace contactvi {
 
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-// A step of this length, of the distance and in metres, is the last one: Newton's method doubles the digits.
-constexpr double kLast = 1e-9, kLastLength = 1e-11;
 constexpr int kRounds = 100;
-// Squares of distances are known to rounding: one that is larger by this part has not grown.
-constexpr double kRounding = 1e-13;
-constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-6;
 // [m] Of a point that is nearer to the border of the top than this the normal is that of the top.
 constexpr double kOnEdge = 1e-9;
 // [cells] Rounding of the border of a cell.
@@ -26,8 +19,6 @@ constexpr double kAtBorder = 1e-9;
 constexpr double kSaddle = -1e-6;
 // [cells] From a saddle the search goes on beside it.
 constexpr double kBeside = 0.2;
-// Of the distance, and [m]: feet that are no farther from each other are one.
-constexpr double kSameFoot = 1e-6, kSameFootLength = 1e-9;
 
 }  // namespace
 
@@ -81,7 +72,7 @@ class HeightField::Search {
     const Height height = field_->at(next);
     const Vec3 from(next[0] - x_[0], next[1] - x_[1], height.f - x_[2]);
     const double square = from.squaredNorm();
-    if (last_ || square <= square_ * (1.0 + kRounding)) {
+    if (last_ || square <= square_ * (1.0 + kSquareRounding)) {
       square_ = square;
       at_ = next;
       height_ = height;
@@ -258,7 +249,7 @@ void HeightField::all_feet(const Vec3& point, double reach, std::vector<SurfaceF
     Search s(*this, point, start);
     if (s.at_saddle()) s = Search(*this, point, s.at() + kBeside * Vec2(spacing_[0], 0.5 * spacing_[1]));
     if (!s.found() || (beyond && !s.is_below())) return;
-    const double distance = std::sqrt(s.square()), same = kSameFoot * distance + kSameFootLength;
+    const double distance = std::sqrt(s.square()), same = kOneFoot * distance + kOneFootLength;
     nearest = std::min(nearest, distance);
     for (const Search& other : found)
       if ((other.at() - s.at()).norm() <= same) return;

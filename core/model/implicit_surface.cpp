@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "base/numerics.hpp"
+#include "model/foot_search.hpp"
 
 namespace contactvi {
 
@@ -13,25 +13,16 @@ namespace {
 using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-// A step of this length, of the distance and in metres, is the last one: Newton's method doubles the digits.
-constexpr double kLast = 1e-9, kLastLength = 1e-11;
-constexpr int kRounds = 60, kReturns = 30;
+constexpr int kSolidRounds = 60, kReturns = 30;
 // Of the size of a cell: what is left of the way back onto the surface, where the next step is rounding.
 constexpr double kBack = 1e-9;
 // Of the size of a cell: no longer step; and beyond this way another cell has searches of its own.
-constexpr double kLongest = 1.0, kFarthest = 4.0;
-// Squares of distances are known to rounding: one that is larger by this part has not grown.
-constexpr double kRounding = 1e-13;
-constexpr double kFirstDamping = 0.1, kMore = 8.0, kLess = 0.1, kNoDamping = 1e-6;
+constexpr double kLongest = 1.0, kFarthestCells = 4.0;
 // With a lower curvature of the squared distance a place is a saddle and no foot.
-constexpr double kSaddle = -1e-6;
+constexpr double kSolidSaddle = -1e-6;
 // Normals in a cell differ from that in its middle by no more than this times the largest difference at its corners; of
 // those that differ by much nothing is concluded.
 constexpr double kMoreSpread = 1.5, kMostSpread = 0.7;
-// Of the distance, and [m]: feet that are no farther from each other are one.
-constexpr double kSameFoot = 1e-6, kSameFootLength = 1e-9;
 
 }  // namespace
 
@@ -40,7 +31,7 @@ class ImplicitSurface::Search {
   Search(const ImplicitSurface& surface, const Vec3& x, const Vec3& start, double farthest)
       : surface_(&surface), x_(x), start_(start), farthest_(farthest) {
     Vec3 next = start;
-    for (int round = 0; round < kRounds && state_ == State::kSearches; ++round) next = take(next);
+    for (int round = 0; round < kSolidRounds && state_ == State::kSearches; ++round) next = take(next);
   }
 
   bool found() const { return state_ == State::kFound && !is_saddle_; }
@@ -82,7 +73,7 @@ class ImplicitSurface::Search {
       return square_ == kInfinity ? p : step();
     }
     const double square = (p - x_).squaredNorm();
-    if (last_ || square <= square_ * (1.0 + kRounding)) {
+    if (last_ || square <= square_ * (1.0 + kSquareRounding)) {
       square_ = square;
       at_ = p;
       value_ = v;
@@ -105,7 +96,7 @@ class ImplicitSurface::Search {
     Mat2 hessian = T.transpose() * lagrangian * T;
     const double middle = 0.5 * hessian.trace(),
                  least = middle - std::sqrt(std::max(0.0, middle * middle - hessian.determinant()));
-    is_saddle_ = least < kSaddle;
+    is_saddle_ = least < kSolidSaddle;
     if (damping_ > 0.0 || !(least > 0.0)) hessian.diagonal().array() += std::max(damping_, kFirstDamping - least);
     Vec2 s = -hessian.inverse() * (T.transpose() * from);
     const double length = s.norm(), longest = kLongest * surface_->size_;
@@ -195,10 +186,10 @@ void ImplicitSurface::all_feet(const Vec3& point, double reach, std::vector<Surf
     const BoxTree::Box& box = boxes_[static_cast<std::size_t>(cell)];
     if (!may_hold(parts_[static_cast<std::size_t>(cell)], point, limit())) return limit();
     if (std::any_of(found.begin(), found.end(), [&](const Search& s) { return box.contains(s.at()); })) return limit();
-    Search s(*this, point, box.center(), kFarthest * size_);
-    if (s.at_saddle()) s = Search(*this, point, s.beside(), kFarthest * size_);
+    Search s(*this, point, box.center(), kFarthestCells * size_);
+    if (s.at_saddle()) s = Search(*this, point, s.beside(), kFarthestCells * size_);
     if (!s.found()) return limit();
-    const double distance = std::sqrt(s.square()), same = kSameFoot * distance + kSameFootLength;
+    const double distance = std::sqrt(s.square()), same = kOneFoot * distance + kOneFootLength;
     nearest = std::min(nearest, distance);
     if (std::none_of(found.begin(), found.end(), [&](const Search& o) { return (o.at() - s.at()).norm() <= same; }))
       found.push_back(s);

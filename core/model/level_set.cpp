@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "model/cubic_splines.hpp"
@@ -10,8 +9,6 @@
 namespace contactvi {
 
 namespace {
-
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // A function of a place with its first and second derivatives: rules of sums, products and chains.
 struct Jet {

@@ -1,14 +1,12 @@
 #include "model/touching_shapes.hpp"
 
 #include <algorithm>
-#include <limits>
 
 namespace contactvi {
 
 namespace {
 
 using Kind = TouchingShape::Kind;
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // Squared sine of the angle between two segments below which they count as parallel: with less, the place where they
 // are nearest is known to less than half of the digits.
 constexpr double kParallel = 1e-16;

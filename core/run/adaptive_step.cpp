@@ -30,13 +30,13 @@ constexpr int kProbes = 16;
 constexpr double kEasyIterations = 9.0, kManyIterations = 20.0;
 constexpr double kBelowFailure = 0.75;   // of a step that did not converge: the longest one from then on
 constexpr double kShortestStep = 1e-12;  // of the duration
-constexpr double kSameTime = 1e-9;       // of the duration: times of a plan that differ by less are one
+constexpr double kSamePlanTime = 1e-9;   // of the duration: times of a plan that differ by less are one
 // Numbers that the nodes and polynomials of a run may have, 4 GB of them. The accuracy is measured with a second run
 // and with copies of both, about four times as much. Longer runs would end where the memory of the machine does.
 constexpr double kMostNumbers = 536870912.0;
-constexpr double kMostSamples = 2.0;  // in a smooth step that is not cut at each of them
-constexpr double kRounding = 1e-14;   // of the duration
-constexpr double kNearSample = 1e-9;  // of the time between two: times that differ by less are one
+constexpr double kMostSamples = 2.0;     // in a smooth step that is not cut at each of them
+constexpr double kPlanRounding = 1e-14;  // of the duration
+constexpr double kNearSample = 1e-9;     // of the time between two: times that differ by less are one
 
 // Where the steps from a time on, of at most `longest` [s], end at a sample, or at the end [s]. Samples between two
 // nodes cost as much as steps do, so steps up to twice as long as samples are apart are made as short as these.
@@ -49,7 +49,7 @@ double next_sample(double sample, double origin, double time, double longest, do
 // The first of these times after a time, at the latest the end [s]; times that differ by rounding alone are one.
 double next_of(const std::vector<double>* times, double time, double end, double duration) {
   if (times == nullptr) return end;
-  const auto next = std::upper_bound(times->begin(), times->end(), time + kRounding * duration);
+  const auto next = std::upper_bound(times->begin(), times->end(), time + kPlanRounding * duration);
   return next == times->end() ? end : std::min(*next, end);
 }
 
@@ -259,7 +259,7 @@ double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {
   const auto goes_on = [&](std::size_t k) {
     return none_between(plan.run.impacts, k) && none_between(plan.run.changes, k);
   };
-  const double now = state_.time + kSameTime * (end - t[0]);
+  const double now = state_.time + kSamePlanTime * (end - t[0]);
   const std::size_t next = static_cast<std::size_t>(std::upper_bound(t.begin(), t.end(), now) - t.begin());
   std::size_t first = std::max<std::size_t>(next, 1) - 1, last = first + 1;
   while (first > 0 && goes_on(first)) --first;

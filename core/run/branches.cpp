@@ -15,7 +15,7 @@ constexpr int kAtOneInstant = 2;
 // Changes in a control step after which all branches are held. Ropes and actuators have inertia to move between two
 // changes; no run has been seen with more than some ten in a step that resolves its motion.
 constexpr long kMostChanges = 1000;
-constexpr double kRounding = 1e-16;
+constexpr double kLeastRatio = 1e-16;
 // The force of a contact that opens or closes grows like t^n with the time t from there. A step of s stages from t on
 // of length h leaves out some h^(2 s + 1) t^(n - 2 s), so that steps of the length h (t / T)^p with
 // p = (2 s - n) / (2 s + 1) all leave out as much as those in the middle of the contact, whose duration is about 2 T.
@@ -24,7 +24,7 @@ double graded(double h, double t, double T, double n, int stages) {
   if (!(h < T) || !(p > 0.0)) return h;
   // The first step begins at t = 0: it is as long as what lies before it. What it leaves out of the motion, some
   // (first / T)^(n + 1), is no less than rounding.
-  const double first = T * std::max(std::pow(h / T, 1.0 / (1.0 - p)), std::pow(kRounding, 1.0 / (n + 1.0)));
+  const double first = T * std::max(std::pow(h / T, 1.0 / (1.0 - p)), std::pow(kLeastRatio, 1.0 / (n + 1.0)));
   return t < first ? first : std::min(h, h * std::pow(t / T, p));
 }
 

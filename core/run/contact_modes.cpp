@@ -4,12 +4,12 @@
 #include <cmath>
 #include <limits>
 
+#include "base/tolerances.hpp"
 #include "run/contact_set.hpp"
 
 namespace contactvi {
 
 namespace {
-constexpr double kStill = 1e-11;   // of the speeds: slip below it is rest
 constexpr double kClosed = 1e-10;  // of the speeds: a contact whose normal speed is larger is not held,
 constexpr double kRise = 1e-11;    // [m] unless the force on it brings it back from there
 // Switch functions are known to rounding of 1e-12 by their finder; continuous forces to this times as much.

@@ -17,9 +17,9 @@ constexpr double kShortestSwing =
     1e-9;  // of a contact step: they are halved down to this where a rim falls nearly flat
 constexpr double kShortestRun =
     1.0 / 64;  // of a contact step, where a point runs along lines: a dense step takes what is shorter
-constexpr double kDeeper = 1.5;            // of the deepest overlap recorded: a deeper one is recorded
-constexpr double kAtStart = 1e-10;         // of a contact step: an event that is earlier is at its start
-constexpr double kEnergyRounding = 1e-12;  // of the energies
+constexpr double kDeeper = 1.5;           // of the deepest overlap recorded: a deeper one is recorded
+constexpr double kAtStart = 1e-10;        // of a contact step: an event that is earlier is at its start
+constexpr double kPhaseRounding = 1e-12;  // of the energies
 }  // namespace
 
 bool Simulator::end_violated(int constraint, double time) {
@@ -115,7 +115,7 @@ bool Simulator::changes_energy() {
   // Friction that would do positive work excuses no gain.
   const double friction = std::min(0.0, contact_step_.friction_work());
   const double change = T1 + V1 - T0 - V0 - contact_step_.work() - friction;
-  const double rounding = kEnergyRounding * (std::abs(V0) + std::abs(V1) + T0 + T1);
+  const double rounding = kPhaseRounding * (std::abs(V0) + std::abs(V1) + T0 + T1);
   if (std::abs(change) <= rounding || std::abs(change) <= contact_step_.energy_error(state_.p, p1_) + rounding)
     return false;
   contact_step_.reject(change > 0.0 ? "its energy rises" : "its energy vanishes");

@@ -10,10 +10,10 @@ constexpr double kPersists = 1e-11;  // of the speeds: a closed contact with a s
 // Of kPersists: persistent contacts that separate more slowly are left to the step, and pairs with several points,
 // whose gaps differ by more, up to the second number.
 constexpr double kSlowSeparation = 1e5, kSlowSeparationOfMany = 2e6;
-constexpr double kTogether = 1e-6;    // of the forces: points of an adhesive pair with less load let go together
-constexpr double kUnloaded = 1e-9;    // of the forces: a smaller one is zero
-constexpr double kOpenPair = 1e-9;    // [m] beyond this gap of a pair all its points are released
-constexpr double kOpenPoint = 1e-12;  // [m] beyond this gap a contact without load is released
+constexpr double kLetGoTogether = 1e-6;  // of the forces: points of an adhesive pair with less load let go together
+constexpr double kUnloaded = 1e-9;       // of the forces: a smaller one is zero
+constexpr double kOpenPair = 1e-9;       // [m] beyond this gap of a pair all its points are released
+constexpr double kOpenPoint = 1e-12;     // [m] beyond this gap a contact without load is released
 
 // The contact at a point of a guard; null if there is none.
 const PersistentContact* find_contact(const std::vector<PersistentContact>& contacts, int guard,
@@ -248,7 +248,7 @@ std::vector<char> ContactSet::letting_go(int i, const VecX& tau) {
   const ContactLaw* law = scene_->law(guard);
   if (law == nullptr || !law->pull.given()) return found;
   if (!step_->persistent_forces_at(run_->q, run_->p, tau, forces_)) return found;
-  const double least = kTogether * step_->force_scale();
+  const double least = kLetGoTogether * step_->force_scale();
   for (std::size_t k = 0; k < contacts.size(); ++k)
     if (contacts[k].point.guard == guard && forces_[static_cast<Eigen::Index>(k)] <= least) found[k] = 1;
   return found;

@@ -7,7 +7,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "run/simulator.hpp"
 
@@ -27,7 +26,6 @@ constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a s
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 bool has_adhesion(const Scene& scene) {
   return std::any_of(scene.laws.begin(), scene.laws.end(), [](const ContactLaw& law) { return law.pull.given(); });
@@ -75,7 +73,7 @@ bool Simulator::dense_steps_go_on() const {
     case StatusCode::kNewtonFailed:
     case StatusCode::kEventUnresolved:
     case StatusCode::kTooManyImpacts:
-    case StatusCode::kNotFinite:  // an impact was not solved; a state that is not finite ends the run
+    case StatusCode::kImpactUnsolved:
       return state_.q.allFinite() && state_.p.allFinite() && !scene_->tree.elements.user_failed();
     default:
       return false;

@@ -1,7 +1,6 @@
 #include "run/joined_runs.hpp"
 
 #include <algorithm>
-#include <limits>
 #include <memory>
 #include <utility>
 
@@ -11,7 +10,6 @@
 namespace contactvi {
 
 namespace {
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 // The values of a run that are sums since its start, in proportion between its nodes.
 class Sums {

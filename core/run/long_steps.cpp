@@ -15,7 +15,7 @@ namespace {
 // it, or little energy.
 constexpr double kTurn = 0.4;
 // Share of the highest mode in the motion of the stages below which several stages resolve it.
-constexpr double kResolved = 0.02;
+constexpr double kResolvedEnergy = 0.02;
 // Of the scale of the motion's energy: a run stays within this of its energy, or steps that lead out of it are halved.
 // A step of a resolved motion stays below a tenth of this.
 constexpr double kBudget = 0.05;
@@ -23,7 +23,7 @@ constexpr double kBudget = 0.05;
 // Of the energies in a step that a nonlinear compliant contact may change, or the step is halved. One that resolves the
 // contact by ten steps stays far below.
 constexpr double kContactEnergy = 0.01;
-constexpr double kEnergyRounding = 1e-12;
+constexpr double kBoundRounding = 1e-12;
 
 bool turns(const Joint& joint) { return joint.type != JointType::kPrismatic && joint.type != JointType::kTranslation; }
 
@@ -68,7 +68,7 @@ bool LongSteps::is_long(StepEquations& equations, double h) {
     most = std::max(most, turn_[i]);
   }
   if (!(most > kTurn)) return false;
-  return s == 1 || equations.truncation() > kResolved * equations.stage_motion();
+  return s == 1 || equations.truncation() > kResolvedEnergy * equations.stage_motion();
 }
 
 bool keeps_energy(EnergyWatch& watch, const StepEnergy& energy) {
@@ -88,7 +88,7 @@ bool keeps_energy(EnergyWatch& watch, const StepEnergy& energy) {
 bool contacts_keep_energy(const Tree& tree, const StepEnergy& energy, const VecX& q0, const VecX& q1) {
   const double elastic = elastic_energy(tree, q0) + elastic_energy(tree, q1);
   const double scale = std::max({energy.kinetic, std::abs(energy.rise), elastic});
-  return std::abs(energy.after - energy.before) <= kContactEnergy * scale + kEnergyRounding * std::abs(energy.before);
+  return std::abs(energy.after - energy.before) <= kContactEnergy * scale + kBoundRounding * std::abs(energy.before);
 }
 
 }  // namespace contactvi

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
 
 #include "base/disjoint_sets.hpp"
@@ -12,7 +11,6 @@
 namespace contactvi {
 
 namespace {
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // Looks at one pair of geometries. Each leads on by a good part of their distance, so that those of a pair that comes
 // no nearer than `near` are few, unless it stays about that near for long: then it counts as one that meets.
 constexpr int kMostLooks = 2000;

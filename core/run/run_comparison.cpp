@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 #include <vector>
 
@@ -11,7 +10,6 @@
 namespace contactvi {
 
 namespace {
-constexpr double kInfinity = std::numeric_limits<double>::infinity(), kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kEnded = 1e-3;      // of the time of a run: one that ended so much earlier did not reach its end
 constexpr double kSameTime = 1e-12;  // of the time of a run
 constexpr double kDistinct = 1.3;    // ratio of errors, by the law, below which the steps of a flight are much alike

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "impact/impact_maps.hpp"
 #include "model/coupling.hpp"
@@ -16,7 +15,6 @@ constexpr int kMostHalvings = 4000;   // of the free steps within one interval
 constexpr long kReported = 64;        // steps between two reports of progress
 // Of an interval: what is left of it after a smooth step that ends within is no step of its own.
 constexpr double kRounding = 1e-13;
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
 bool dissipates(const Tree& tree) {
@@ -264,7 +262,6 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
 // after an error of a user's function the run has ended then.
 bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
   const long before = integrator_.counters.stage_iterations;
-  constexpr double kInfinity = std::numeric_limits<double>::infinity();
   integrator_.limit_truncation(truncation_.limited ? truncation_.bound : kInfinity);
   integrator_.lead(guide_, time);
   const bool solved = integrator_.solve(state_.q, state_.p, h, tau);

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "impact/impact_maps.hpp"
 #include "run/saved_world.hpp"
@@ -11,7 +10,6 @@
 namespace contactvi {
 
 namespace {
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr std::size_t kKept = 64;  // islands that are kept for later, beside two for each tree
 
 std::vector<int> numbers_up_to(int count) {

@@ -1,4 +1,5 @@
 #include "sensitivity/contact_step_tangent.hpp"
+#include "sensitivity/kinks.hpp"
 #include "sensitivity/known_laws.hpp"
 
 #include <algorithm>
@@ -7,9 +8,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kShared = 1e-7;  // of the effect of all impulses: what is shared has less
-constexpr double kOnCone = 1e-9;  // of the impulses and speeds: nearer to a change rounding decides what happens
-constexpr double kLaw = 1e-7;     // of the impulses and speeds: to which the step satisfies its laws
+constexpr double kLaw = 1e-7;  // of the impulses and speeds: to which the step satisfies its laws
 }  // namespace
 
 ContactStepTangent::ContactStepTangent(const Scene& scene, Kinks& kinks)

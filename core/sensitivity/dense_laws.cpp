@@ -10,8 +10,8 @@ namespace contactvi {
 namespace {
 // A diagonal below this share of the largest one is rounding: the row moves nothing.
 constexpr double kLeastMobility = 1e-12;
-constexpr double kStill = 1e-9;   // of the speeds: a slower slip is that of a contact that sticks
-constexpr double kShares = 1e-6;  // of a distribution of impulses without effect: what takes part in it
+constexpr double kSticking = 1e-9;  // of the speeds: a slower slip is that of a contact that sticks
+constexpr double kShares = 1e-6;    // of a distribution of impulses without effect: what takes part in it
 }  // namespace
 
 void DenseLaws::begin(const DenseStepRecord& step, const VecX& lambda) {
@@ -66,7 +66,7 @@ void DenseLaws::take_law(const DenseStepRecord& step, const VecX& lambda, const 
       error_ = std::max(error_, lambda[r] / largest);
     }
     if (law.normal != Normal::kOpen && c.mu > 0.0) {
-      if (xt.norm() <= c.mu * lambda[r] || wt.norm() <= kStill * speed) {
+      if (xt.norm() <= c.mu * lambda[r] || wt.norm() <= kSticking * speed) {
         law.friction = Friction::kStick;
         error_ = std::max(error_, wt.norm() / speed);
       } else {

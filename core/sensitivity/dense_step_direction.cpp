@@ -4,6 +4,7 @@
 
 #include "model/coupling.hpp"
 #include "sensitivity/dense_step_tangent.hpp"
+#include "sensitivity/kinks.hpp"
 
 namespace contactvi {
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "sensitivity/kinks.hpp"
 #include "sensitivity/known_laws.hpp"
 #include "step/energy.hpp"
 #include "step/path.hpp"
@@ -11,7 +12,8 @@
 namespace contactvi {
 
 namespace {
-constexpr double kLaw = 1e-7;  // of the impulses and speeds: ten times what the solver leaves where it is at its end
+constexpr double kDenseLaw =
+    1e-7;  // of the impulses and speeds: ten times what the solver leaves where it is at its end
 
 }  // namespace
 
@@ -61,7 +63,7 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   take_end();
   if (step.repaired > 0) approximate("an answer that was repaired or blended");
   if (step.keeps_energy && !step.contacts.empty()) approximate("gaps that are left for the sake of the energy");
-  if (error_ > kLaw) approximate("impulses that do not satisfy the law of contact");
+  if (error_ > kDenseLaw) approximate("impulses that do not satisfy the law of contact");
   if (margin_ < kOnCone) approximate("a contact between two of open, sticking and slipping");
 }
 

@@ -39,11 +39,6 @@ struct DenseStepDirection {
   double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
 };
 
-// Of the effect of all impulses, or of a momentum: what has less is rounding, from what points share.
-constexpr double kShared = 1e-7;
-// Of the impulses and speeds: nearer to a change of an active set rounding decides what happens.
-constexpr double kOnCone = 1e-9;
-
 class DenseStepTangent {
  public:
   // Where the laws do not determine how points share a load, and that decides about the motion, the derivative with

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/differences.hpp"
+#include "base/tolerances.hpp"
 #include "model/coordinates.hpp"
 #include "model/force_rate.hpp"
 #include "step/energy.hpp"
@@ -13,8 +14,7 @@ namespace contactvi {
 namespace {
 // Of the configuration [m; rad] and of the speeds: so short that the nearest points stay on their features. The
 // rounding of the differences is 1e-11 of the terms of the force; a feature that is nearer is as good as a kink.
-constexpr double kStep = 1e-5;
-constexpr double kStill = 1e-11;  // of the speeds: a joint that sticks
+constexpr double kForceStep = 1e-5;
 constexpr double kZero =
     1e-5;  // of the terms of the forces: that of the contact that is released, as the run located it
 constexpr double kUnique = 1e-9;  // of a force: what the laws leave open
@@ -234,7 +234,7 @@ double EndForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, const 
   if (dtau.size() > 0) size = std::max(size, dtau.cwiseAbs().maxCoeff() / input);
   if (dmu.size() > 0) size = std::max(size, dmu.cwiseAbs().maxCoeff());
   if (size == 0.0) return 0.0;
-  const double step = kStep / size;
+  const double step = kForceStep / size;
   VecX q(scene_->tree.nq);
   double total = 0.0;
   for (const auto& [count, weight] : kDifference) {

@@ -1,4 +1,5 @@
 #include "sensitivity/held_step_tangent.hpp"
+#include "sensitivity/kinks.hpp"
 #include "sensitivity/known_laws.hpp"
 
 #include <algorithm>
@@ -7,8 +8,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kShared = 1e-7;  // of the effect of all impulses: what is shared has less
-constexpr int kPasses = 3;        // the first solves, the others take the rounding off
+constexpr int kPasses = 3;  // the first solves, the others take the rounding off
 const ContactStepDirection kNoDirection;
 }  // namespace
 

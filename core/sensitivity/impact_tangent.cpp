@@ -5,14 +5,13 @@
 
 #include "base/differences.hpp"
 #include "model/coupling.hpp"
+#include "sensitivity/kinks.hpp"
 #include "sensitivity/known_laws.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
 
 namespace {
-// Of the impulses and speeds: nearer to a change between sticking and slipping rounding decides.
-constexpr double kOnCone = 1e-9;
 // Of the momenta: to which a recorded impact is the one that is differentiated.
 constexpr double kSameImpulse = 1e-7;
 

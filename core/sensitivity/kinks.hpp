@@ -9,6 +9,11 @@
 
 namespace contactvi {
 
+// Of the effect of all impulses, or of a momentum: what has less is rounding, from what points share.
+constexpr double kShared = 1e-7;
+// Of the impulses and speeds: nearer to a change of an active set rounding decides what happens.
+constexpr double kOnCone = 1e-9;
+
 class Kinks {
  public:
   explicit Kinks(bool taken) : taken_(taken) {}

@@ -3,15 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "sensitivity/kinks.hpp"
+
 namespace contactvi {
 
 namespace {
-// Of the impulses and speeds: nearer to a change than this, rounding decides what a point does.
-constexpr double kOnCone = 1e-9;
-// Of the effect of all impulses: what points that share a load leave open has less.
-constexpr double kShared = 1e-7;
 // Of the terms of a speed: what a point on the border may move along a direction.
-constexpr double kBorder = 1e-9;
+constexpr double kBorderSpeed = 1e-9;
 constexpr double kTiny = 1e-300;
 }  // namespace
 
@@ -143,7 +141,7 @@ PoissonTangent::Outcome PoissonTangent::solve(const Phase& phase, const VecX& dg
     if (phase.modes[i] != Mode::kBorder) continue;
     const int r = points_[i].row;
     const double size = d.size[r] + G_.row(r).cwiseAbs().dot(dlambda.cwiseAbs());
-    if (std::abs(dgamma0[r] + G_.row(r).dot(dlambda)) > kBorder * size) return Outcome::kKink;
+    if (std::abs(dgamma0[r] + G_.row(r).dot(dlambda)) > kBorderSpeed * size) return Outcome::kKink;
   }
   return Outcome::kSolved;
 }

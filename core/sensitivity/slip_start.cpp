@@ -16,7 +16,7 @@ namespace {
 // of time [s].
 constexpr double kStep = 1e-5, kTurn = 1e-3, kTime = 2e-4;
 // Of the mobility along the normal: less than that across a slip is none; and of the largest pivot.
-constexpr double kPlane = 1e-12, kDependent = 1e-7;
+constexpr double kPlane = 1e-12, kDependentSlips = 1e-7;
 }  // namespace
 
 SlipStart::SlipStart(const Scene& scene)
@@ -138,7 +138,7 @@ void SlipStart::solve_turns(const MatX& mobility) {
     own.col(k).setZero();
   }
   Eigen::CompleteOrthogonalDecomposition<MatX> factor;
-  factor.setThreshold(kDependent);
+  factor.setThreshold(kDependentSlips);
   factor.compute(own);
   by_others_(Eigen::all, begins_).setZero();
   for (MatX* by : {&by_q_, &by_p_, &by_tau_, &by_mu_, &by_t_, &by_others_}) *by = MatX(-factor.solve(*by));

@@ -13,7 +13,7 @@ constexpr int kMostIterations = 30;
 constexpr double kExact = 1e-16, kNear = 1e-13;
 // Of what friction answers to a turn of its direction: a slip below it counts as it. Else rounding would turn contacts
 // that share a load against each other, which changes nothing but where all of them come to rest.
-constexpr double kStill = 1e-3;
+constexpr double kStillHeld = 1e-3;
 }  // namespace
 
 bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& T, const VecX& rate, const VecX& drift,
@@ -61,7 +61,7 @@ bool SlipProjection::apply(StepEquations& equations, const MatX& W, const MatX& 
       slips[j] = c * u[2 * j] + s * u[2 * j + 1];
       char& back = turned[static_cast<std::size_t>(j)];
       if (slips[j] < kTurned * std::min(0.0, A(m + j, m + j))) back = 1;
-      const double still = kStill * std::abs(A(m + j, m + j));
+      const double still = kStillHeld * std::abs(A(m + j, m + j));
       A(m + j, m + j) -= std::abs(slips[j]) < still ? still : slips[j];
       if (back == 0) continue;
       A.row(m + j).setZero();

@@ -8,7 +8,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kAlike = 1e-6;  // of unit vectors: directions of forces that differ by less are the same
+constexpr double kSameDirection = 1e-6;  // of unit vectors: directions of forces that differ by less are the same
 }  // namespace
 
 StageNodes::Node::Node(const Tree& tree) : q(tree.nq), X(VecX::Zero(tree.nv)), at(tree) {}
@@ -210,7 +210,7 @@ bool StageNodes::forces_exceed_rows() const {
     for (Eigen::Index r = 0; r < columns.cols(); ++r)
       if (const double size = columns.col(r).norm(); size > 0.0) columns.col(r) /= size;
     Eigen::ColPivHouseholderQR<MatX> factor;
-    factor.setThreshold(kAlike);
+    factor.setThreshold(kSameDirection);
     factor.compute(columns);
     return factor.rank();
   };

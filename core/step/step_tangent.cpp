@@ -11,7 +11,7 @@ namespace contactvi {
 
 namespace {
 // Of the charts of spherical joints along a direction, whose displacements depend on themselves.
-constexpr int kTurnIterations = 30;
+constexpr int kTangentIterations = 30;
 const StepDirection kNoDirection;
 }  // namespace
 
@@ -205,7 +205,7 @@ bool StepTangent::solve_by_matrix() {
   const StepDirection wanted = direction_;
   // The displacements of spherical joints follow the velocities by a contraction of their own.
   const auto settle = [&] {
-    for (int k = 0; k < (step_.model().lanes.balls > 0 ? kTurnIterations : 1); ++k) evaluate();
+    for (int k = 0; k < (step_.model().lanes.balls > 0 ? kTangentIterations : 1); ++k) evaluate();
     residual(r_);
   };
   if (!has_matrix_) {

@@ -33,7 +33,7 @@ KNOWN: list[tuple[str, int, str]] = [
     ("closed_arm", 4, "two frictions of one axis in a loop: NEWTON_FAILED"),
     ("group", 54, "DTEC, e = 1, a force that damps: bounces without end, 80 ms a step"),
     ("joined", 198, "wedged between a point and a sticking point: forces of 1e6 N, NEWTON_FAILED"),
-    ("kinds", 183, "DTEC jams with friction: NOT_FINITE"),
+    ("kinds", 183, "DTEC jams with friction: IMPACT_UNSOLVED"),
 ]
 
 
