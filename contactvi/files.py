@@ -98,9 +98,9 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
             file.flush()
             os.fsync(file.fileno())
         os.chmod(name, 0o666 & ~_umask())  # mkstemp makes private files, results are ordinary ones
-        if overwrite or not target.exists():
+        if overwrite:
             os.replace(name, target)
-        else:
+        elif not _takes_free_name(name, target):
             raise _written_meanwhile(named, name, target)
     except BaseException as error:
         with contextlib.suppress(FileNotFoundError):
@@ -117,11 +117,25 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
     return named
 
 
+def _takes_free_name(part: str, target: Path) -> bool:
+    """Give a file that is complete its name, if no other process has made a file of this name before."""
+    try:
+        os.link(part, target)
+    except FileExistsError:
+        return False
+    except OSError:  # a file system without links: another process may come in between
+        if target.exists():
+            return False
+        os.replace(part, target)
+        return True
+    os.unlink(part)
+    return True
+
+
 def _written_meanwhile(named: Path, part: str, target: Path) -> OverwriteError:
     """Keep a part that is complete under a name of its own; return the error that tells it."""
     names = (target.with_name(f"{target.stem}-{k}{target.suffix}") for k in itertools.count(2))
-    free = next(path for path in names if not path.exists())
-    os.replace(part, free)
+    free = next(path for path in names if _takes_free_name(part, path))
     return OverwriteError(
         f"{named} was written by another process meanwhile", path=named, expected="a name that stays free",
         got="a file of this name", remedy=f"What was to be written is kept in {named.with_name(free.name)}",
