@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -143,3 +144,28 @@ def test_contacts_are_found_at_every_node_of_persistent_contact():
     scene.set_contact(restitution=0.0, friction=0.4)
     run = cvi.simulate(scene, v0=scene.velocity({"box": (1, 0, 0)}), duration=1.2, dt=1e-2)
     assert [t for t in run.t[1:] if len(run.contacts.at(t)) < 4] == []
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_of_another_process_is_kept(tmp_path, monkeypatch, links):
+    """One that comes into being while this one is written stays, and this one is kept beside it."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EPERM, "no links here")
+
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
+    path, taken = tmp_path / "run.npz", tmp_path / "run-2.npz"
+
+    def write(out):
+        path.write_bytes(b"theirs")
+        taken.write_bytes(b"theirs, too")
+        out.write(b"ours")
+
+    with pytest.raises(cvi.OverwriteError, match="written by another process meanwhile.*run-3.npz"):
+        write_atomic(path, write, overwrite=False)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run-2.npz", "run-3.npz", "run.npz"]
+    assert path.read_bytes() == b"theirs"
+    assert (tmp_path / "run-3.npz").read_bytes() == b"ours"
+    write_atomic(tmp_path / "free.npz", lambda out: out.write(b"ours"), overwrite=False)
+    assert (tmp_path / "free.npz").read_bytes() == b"ours"
