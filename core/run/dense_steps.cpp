@@ -74,7 +74,9 @@ bool Simulator::events_accumulate(double cost, double length) const {
   const double beyond = state_.dense.located.excess + cost - allowed_cost(length);
   if (!(state_.dense.located.excess + cost > 0.0 && beyond > 0.0)) return false;
   const double burst = truncation_.bound > 0.0 ? kBurst * options_.stages : kBurst;
-  return beyond > burst * share_of_burst(points_now());
+  // A phase of dense steps is some of them long: what costs less than those is not worth one.
+  const double phase = DensePhase::kQuietSteps * costs_.dense_step(points_now());
+  return beyond > std::max(burst * share_of_burst(points_now()), phase);
 }
 
 // Whether a run that has ended so goes on with dense steps.
