@@ -252,7 +252,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
       deepest_ = near.guard;
     }
     const double excess = gap - near.allowed;
-    if (excess < excess_) {
+    if (excess + 2.0 * noise < excess_ + gap_noise_) {
       excess_ = excess;
       gap_noise_ = 2.0 * noise;
     }
