@@ -98,11 +98,6 @@ GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, doubl
   if (!std::isfinite(a.gap) || !std::isfinite(b.gap)) return Course::kFailed;
   const bool bounded = b.gap > 0.0 && a.gap + b.gap > guards_->motion(guard) * width;
   if (bounded && !(guards_->gap_may_jump(guard) && width > smooth_width(guard))) return Course::kClear;
-  // As plainly_clear(): in a part of the step bodies turn, and velocities change, by that part of it.
-  const double turn = width * guards_->turn(guard), order = 2.0 * path_->stages() + 1.0;
-  const double bend = width * (turn * guards_->motion(guard) + 2.0 * order * width * guards_->doubt(guard));
-  const bool plain = path_->stages() == 1 && turn <= kTurn && !has_function(guards_->scene(), guard);
-  if (plain && b.gap > 0.0 && lowest(a, b) > 2.0 * guards_->doubt(guard) + bend) return Course::kClear;
   const bool smooth = width <= smooth_width(guard), finest = width <= kFinest;
   if (smooth) {
     lo = a;
