@@ -43,8 +43,8 @@ class DistanceBounds {
 
  private:
   static constexpr double kClose = 0.875;  // so that an evaluation lengthens no span by more than a seventh
-  // In the frames of the shapes: the direction from a to b, and the ends of the shortest line. And of hulls the vertices
-  // that were the farthest ones along it, from where the search for those goes on.
+  // In the frames of the shapes: the direction from a to b, and the ends of the shortest line. And of hulls the
+  // vertices that were the farthest ones along it, from where the search for those goes on.
   struct Known {
     int pair = -1;
     Vec3 direction_a, direction_b, point_a, point_b;
