@@ -36,7 +36,7 @@ void DenseCandidates::collect(const VecX& bound, const VecX& q_free, const std::
   for (int g : guards_to_look_at_) {
     const auto last = near_.begin() + static_cast<std::ptrdiff_t>(known);
     if (std::any_of(near_.begin(), last, [g](const Near& near) { return near.guard == g; })) continue;
-    if (!guards_->separated_at_end(g)) near_.push_back({g, 0.0, guards_->motion(g), allowed(0.0), {}, false});
+    if (!guards_->stays_apart(g)) near_.push_back({g, 0.0, guards_->motion(g), allowed(0.0), {}, false});
   }
   guards_->place(q_free);
   for (std::size_t k = known; k < near_.size(); ++k) near_[k].watched = stays_open(near_[k].guard, impulses);
@@ -245,13 +245,14 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
     Contact witness;
     const double gap = guards_->evaluate_witness(near.guard, witness);
     const bool pair = scene_->is_pair(near.guard);
-    const double noise = pair ? kGapPromised : kLimitPromised;
+    // Features of a rough hull overlap by less than its distance does, and shorter steps do not change that.
+    const double noise = pair ? std::max(kGapPromised, guards_->depth_tolerance(near.guard)) : kLimitPromised;
     if (gap < gap_) {
       gap_ = gap;
       deepest_ = near.guard;
     }
     const double excess = gap - near.allowed;
-    if (excess < excess_) {
+    if (excess + 2.0 * noise < excess_ + gap_noise_) {
       excess_ = excess;
       gap_noise_ = 2.0 * noise;
     }

@@ -198,8 +198,11 @@ bool EventFinder::plainly_clear() {
     if (memory_.touching[s.guard] || !(s.end_gap > 0.0)) return false;
   guards_->bound_doubt(*q0_, doubt_, h_);
   gaps_.set(*path_);
-  for (const Suspect& s : suspects_)
-    if (!gaps_.plainly_clear(s.guard, gaps_.at(s.guard, 0.0), gaps_.at(s.guard, 1.0))) return false;
+  for (Suspect& s : suspects_) {
+    s.from = gaps_.at(s.guard, 0.0);
+    s.started = true;
+    if (!gaps_.plainly_clear(s.guard, s.from, gaps_.at(s.guard, 1.0))) return false;
+  }
   return true;
 }
 
@@ -281,7 +284,7 @@ bool EventFinder::collect(int g) {
 }
 
 Search EventFinder::start(Suspect& s) {
-  const Point a = gaps_.at(s.guard, 0.0);
+  const Point a = s.started ? s.from : gaps_.at(s.guard, 0.0);
   const double tolerance = Guards::kTouching;
   if (!std::isfinite(a.gap)) return fail(Search::kUnresolved, s.guard, a.gap);
   if (memory_.touching[s.guard] && a.gap > tolerance) memory_.touching[s.guard] = 0;

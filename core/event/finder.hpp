@@ -108,6 +108,7 @@ class EventFinder {
     Point lo, hi;           // ends of a crossing: gap > 0 and <= 0 on the path
     bool lo_sure, hi_sure;  // whether these signs hold on the exact path too
     double root;
+    bool started = false;  // whether `from` is the start of the step
   };
 
   bool bound_step();

@@ -38,24 +38,29 @@ void DistanceBounds::forget() {
 
 void DistanceBounds::keep(int pair, const PosedShape& a, const PosedShape& b, const Contact& contact) {
   if (!(contact.gap > 0.0)) return;
-  place_of(pair) = {pair, a.R.transpose() * contact.normal, b.R.transpose() * contact.normal, into(a, contact.point_a),
-                    into(b, contact.point_b)};
+  place_of(pair) = {pair,
+                    a.R.transpose() * contact.normal,
+                    b.R.transpose() * contact.normal,
+                    into(a, contact.point_a),
+                    into(b, contact.point_b),
+                    0,
+                    0};
 }
 
 DistanceBounds::Bounds DistanceBounds::find(int pair, const PosedShape& a, const PosedShape& b) {
-  const Known& known = place_of(pair);
+  Known& known = place_of(pair);
   if (known.pair != pair) return {-kInfinity, kInfinity};
-  Bounds bounds{between(a, b, a.R * known.direction_a), (point(b, known.point_b) - point(a, known.point_a)).norm()};
-  if (!is_close(bounds)) bounds.lower = std::max(bounds.lower, between(a, b, b.R * known.direction_b));
+  const auto between = [&](const Vec3& direction_W) {
+    return -extent(b, -direction_W, known.vertex_b) - extent(a, direction_W, known.vertex_a);
+  };
+  Bounds bounds{between(a.R * known.direction_a), (point(b, known.point_b) - point(a, known.point_a)).norm()};
+  if (!is_close(bounds)) bounds.lower = std::max(bounds.lower, between(b.R * known.direction_b));
   return bounds;
 }
 
-double DistanceBounds::between(const PosedShape& a, const PosedShape& b, const Vec3& direction_W) {
-  return -extent(b, -direction_W) - extent(a, direction_W);
-}
-
-// How far a shape reaches along a unit vector, from the origin of the world.
-double DistanceBounds::extent(const PosedShape& posed, const Vec3& direction_W) {
+// How far a shape reaches along a unit vector, from the origin of the world. vertex: of a hull, near the farthest one,
+// then that.
+double DistanceBounds::extent(const PosedShape& posed, const Vec3& direction_W, int& vertex) {
   const Vec3 d = posed.R.transpose() * direction_W;
   const auto& shape = static_cast<const coal::ShapeBase&>(*posed.shape);
   double core = kInfinity;
@@ -81,9 +86,9 @@ double DistanceBounds::extent(const PosedShape& posed, const Vec3& direction_W) 
       break;
     case coal::GEOM_CONVEX: {
       coal::Vec3s support;
-      int start = 0;
+      workspace_->hull.last_dir = d;  // coal goes on from the vertex
       coal::details::getShapeSupport<coal::details::NoSweptSphere>(static_cast<const coal::ConvexBase*>(&shape), d,
-                                                                   support, start, workspace_->hull);
+                                                                   support, vertex, workspace_->hull);
       core = support.dot(d);
       break;
     }

@@ -43,14 +43,15 @@ class DistanceBounds {
 
  private:
   static constexpr double kClose = 0.875;  // so that an evaluation lengthens no span by more than a seventh
-  // In the frames of the shapes: the direction from a to b, and the ends of the shortest line.
+  // In the frames of the shapes: the direction from a to b, and the ends of the shortest line. And of hulls the
+  // vertices that were the farthest ones along it, from where the search for those goes on.
   struct Known {
     int pair = -1;
     Vec3 direction_a, direction_b, point_a, point_b;
+    int vertex_a = 0, vertex_b = 0;
   };
   Known& place_of(int pair) { return known_[pair & (known_.size() - 1)]; }
-  double extent(const PosedShape& shape, const Vec3& direction_W);
-  double between(const PosedShape& a, const PosedShape& b, const Vec3& direction_W);
+  double extent(const PosedShape& shape, const Vec3& direction_W, int& vertex);
 
   std::vector<Known> known_;  // of a pair at its number, less multiples of the size: the last one there
   struct Workspace;           // coal's, kept out of this header

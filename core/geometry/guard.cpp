@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "geometry/box.hpp"
 #include "model/step_costs.hpp"
@@ -16,6 +17,7 @@ constexpr double kMeeting = 1e-7;
 // Reference steps: where the bound on the distance of one pair ends a span sooner, the exact distance is found. That
 // costs about as much as a step that looks at guards.
 constexpr double kShortSpan = 8.0;
+constexpr double kRounding = 1e-14;  // of the motion in the world: what its parts are added up to
 }  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
@@ -29,41 +31,41 @@ Guards::Guards(const Scene& scene, int contact_points)
       placed_for_(scene.tree.joints.size(), -1),
       distance_bounds_(scene.pairs.size()),
       linear_(scene.tree.joints.size()),
-      linear_in_root_(scene.tree.joints.size()),
-      turn_in_root_(scene.tree.joints.size()),
-      motion_(make_reach()),
-      doubt_(make_reach()),
-      expected_(make_reach()),
-      odometer_(2 * scene.geometries.size()),
-      interval_start_(2 * scene.geometries.size()),
+      arm_(scene.tree.joints.size()),
       gap_(count_),
       gap_for_(count_, -1),
       marks_(count_, -1.0),
       broad_phase_(scene),
       span_(scene.tree.nv) {
-  find_roots();
+  find_ways();
+  odometer_.resize(scene.geometries.size() + ways_.size());
+  interval_start_.resize(odometer_.size());
+  for (Reach* reach : {&motion_, &doubt_, &expected_}) {
+    reach->geometry.resize(odometer_.size());
+    reach->limit.resize(scene.tree.limits.size());
+    reach->turn.resize(scene.tree.joints.size());
+  }
 }
 
-// A joint is a root if it moves all that its tree moves: the first one, and what follows on one without shapes.
-void Guards::find_roots() {
-  const Tree& tree = scene_->tree;
-  const std::size_t n = tree.joints.size();
-  std::vector<int> followers(n, 0), tree_of(n, 0);
-  for (const Joint& joint : tree.joints)
-    if (joint.parent >= 0) ++followers[joint.parent];
-  for (const Geometry& g : scene_->geometries)
-    if (g.body >= 0) ++followers[g.body];
-  is_root_.assign(n, 0);
-  for (std::size_t i = 0; i < n; ++i) {
-    const int parent = tree.joints[i].parent;
-    is_root_[i] = parent < 0 || (is_root_[parent] != 0 && followers[parent] == 1);
-    tree_of[i] = parent < 0 ? static_cast<int>(i) : tree_of[parent];
-  }
-  const int in_root = static_cast<int>(scene_->geometries.size());
+// What moves both bodies of a pair does not change its distance: its motion counts in the frame of the last body that
+// both hang on.
+void Guards::find_ways() {
+  const int count = static_cast<int>(scene_->geometries.size());
+  std::map<std::pair<int, int>, int> known;
+  const auto way = [&](int geometry, int base) {
+    if (base < 0) return geometry;
+    const auto [at, is_new] = known.emplace(std::pair(geometry, base), count + static_cast<int>(ways_.size()));
+    if (is_new) ways_.push_back({geometry, base});
+    return at->second;
+  };
   for (const Pair& pair : scene_->pairs) {
-    const int a = scene_->geometries[pair.a].body, b = scene_->geometries[pair.b].body;
-    const int add = a >= 0 && b >= 0 && tree_of[a] == tree_of[b] ? in_root : 0;
-    ways_.emplace_back(pair.a + add, pair.b + add);
+    int a = scene_->geometries[pair.a].body, b = scene_->geometries[pair.b].body;
+    while (a != b) {
+      int& later = a > b ? a : b;  // a parent has a lower number
+      later = scene_->tree.joints[later].parent;
+    }
+    pair_ways_.emplace_back(way(pair.a, a), way(pair.b, a));
+    bases_.push_back(a);
   }
 }
 
@@ -368,11 +370,6 @@ double Guards::depth_tolerance(int guard) const {
   return guard < pairs_ ? std::max(kFeatureRounding, 1.2 * manifolds_.noise(guard)) : kFeatureRounding;
 }
 
-Guards::Reach Guards::make_reach() const {
-  return {std::vector<double>(2 * scene_->geometries.size()), std::vector<double>(scene_->tree.limits.size()),
-          std::vector<double>(scene_->tree.joints.size())};
-}
-
 void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
   span_ended_ = span_.any();
   end_span();
@@ -410,24 +407,28 @@ void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, doub
         arm += q.segment<3>(joint.iq).norm() + steps * linear;
         break;
     }
-    double linear_in_root = linear, angular_in_root = angular;
     if (joint.parent >= 0) {
       linear += linear_[joint.parent] + reach.turn[joint.parent] * arm;
       angular += reach.turn[joint.parent];
-      linear_in_root += linear_in_root_[joint.parent] + turn_in_root_[joint.parent] * arm;
-      angular_in_root += turn_in_root_[joint.parent];
+      arm += arm_[joint.parent];
     }
     reach.turn[i] = angular;
     linear_[i] = linear;
-    linear_in_root_[i] = is_root_[i] != 0 ? 0.0 : linear_in_root;
-    turn_in_root_[i] = is_root_[i] != 0 ? 0.0 : angular_in_root;
+    arm_[i] = arm;
   }
   const std::size_t count = scene_->geometries.size();
   for (std::size_t g = 0; g < count; ++g) {
     const Geometry& geometry = scene_->geometries[g];
     const int body = geometry.body;
     reach.geometry[g] = body < 0 ? 0.0 : linear_[body] + reach.turn[body] * geometry.reach;
-    reach.geometry[count + g] = body < 0 ? 0.0 : linear_in_root_[body] + turn_in_root_[body] * geometry.reach;
+  }
+  // Without the turns of what moves the base: they have moved the body by themselves times the arms beyond it.
+  for (std::size_t k = 0; k < ways_.size(); ++k) {
+    const Geometry& geometry = scene_->geometries[ways_[k].geometry];
+    const int body = geometry.body, base = ways_[k].base;
+    const double linear = linear_[body] - linear_[base] - reach.turn[base] * (arm_[body] - arm_[base]);
+    reach.geometry[count + k] = std::max(0.0, linear) + (reach.turn[body] - reach.turn[base]) * geometry.reach +
+                                (body == base ? 0.0 : kRounding * reach.geometry[ways_[k].geometry]);
   }
 }
 
@@ -443,8 +444,8 @@ double Guards::doubt(int guard) const { return reach_of(doubt_, guard); }
 double Guards::turn(int guard) const {
   if (guard >= pairs_) return 0.0;
   const Pair& pair = scene_->pairs[guard];
-  const int a = scene_->geometries[pair.a].body, b = scene_->geometries[pair.b].body;
-  return (a < 0 ? 0.0 : motion_.turn[a]) + (b < 0 ? 0.0 : motion_.turn[b]);
+  const auto turn = [this](int body) { return body < 0 ? 0.0 : motion_.turn[body]; };
+  return turn(scene_->geometries[pair.a].body) + turn(scene_->geometries[pair.b].body) - 2.0 * turn(bases_[guard]);
 }
 
 bool Guards::skip(int guard) const {
@@ -453,27 +454,39 @@ bool Guards::skip(int guard) const {
 }
 
 bool Guards::separated_at_end(int guard) {
-  if (guard >= pairs_) {
-    return limit_gap(guard, q_) > motion(guard);
-  }
+  if (guard >= pairs_) return limit_gap(guard, q_) > motion(guard);
+  const double bound = cheap_bound(guard);
+  if (!(bound > motion(guard))) return false;
+  mark(guard, bound);
+  return true;
+}
+
+// Where bodies are placed at the start of the step.
+bool Guards::stays_apart(int guard) {
+  if (guard >= pairs_) return limit_gap(guard, q_) > motion(guard);
+  const double moved = both(odometer_, guard);
+  if (moved + motion(guard) < marks_[guard]) return true;
+  const double bound = cheap_bound(guard);
+  if (!(bound > motion(guard))) return false;
+  if (!is_persistent(guard)) marks_[guard] = moved + reliable(guard, bound);
+  return true;
+}
+
+// A lower bound on the distance of a pair: more than its motion if that can be had without the distance.
+double Guards::cheap_bound(int guard) {
   place_pair(guard);
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
-  double bound;
   if (a.unbounded || b.unbounded) {
     const Geometry &half = a.unbounded ? a : b, &other = a.unbounded ? b : a;
     Mat3 R;
     Vec3 p;
     geometry_pose(half, placements_, R, p);
-    bound =
-        (R * half.halfspace_normal).dot(sphere_center(other, placements_) - p) - half.halfspace_offset - other.radius;
-  } else {
-    bound = (sphere_center(a, placements_) - sphere_center(b, placements_)).norm() - a.radius - b.radius;
-    if (!(bound > motion(guard)) && !is_persistent(guard)) bound = known_bounds(guard).lower;
+    return (R * half.halfspace_normal).dot(sphere_center(other, placements_) - p) - half.halfspace_offset -
+           other.radius;
   }
-  if (!(bound > motion(guard))) return false;
-  mark(guard, bound);
-  return true;
+  const double bound = (sphere_center(a, placements_) - sphere_center(b, placements_)).norm() - a.radius - b.radius;
+  return bound > motion(guard) || is_persistent(guard) ? bound : known_bounds(guard).lower;
 }
 
 void Guards::mark(int guard, double gap_at_end) {

@@ -5,8 +5,8 @@
 // half-open interval (0, 1] of the step. A guard that had an impact, or whose gap starts at zero, is "touching":
 // it is excluded until it has separated, unless it closes again. A start below zero is an error, never projected away.
 //
-// Skipping. Each geometry has two odometers: bounds on how far any of its points has moved in the world, and in the
-// frame of the root of its tree, which is what counts for pairs of one robot. A pair whose distance was
+// Skipping. Each geometry has odometers: bounds on how far any of its points has moved in the world, and in the frames
+// of bodies that it hangs on, which is what counts for pairs of one robot. A pair whose distance was
 // d when it was last evaluated is skipped until the two odometers have nearly advanced by d; then its bounding spheres
 // are compared, then the extents of its shapes along the direction of the shortest line of the last evaluation
 // (distance_bounds.hpp), and their distance is evaluated only if they may touch. Pairs that are far from each other
@@ -144,6 +144,9 @@ class Guards {
   bool skip(int guard) const;
   // True if cheap bounds on the distance at the placed end of the step say so; then also moves the pair's mark.
   bool separated_at_end(int guard);
+  // True if odometers or cheap bounds say, where the bodies are placed at the start of the step, that the guard stays
+  // open in it.
+  bool stays_apart(int guard);
   void mark(int guard, double gap_at_end);  // gap at the end of the step
   void unmark(int guard) { marks_[guard] = -1.0; }
   void commit();  // the step is taken: odometers advance
@@ -208,19 +211,18 @@ class Guards {
   GuardCounters counters;
 
  private:
-  // How far everything can move in a step: per geometry any of its points, in the world and then in the frame of its
-  // root, per joint limit, per body its rotation.
+  // How far everything can move in a step: per geometry any of its points, in the world and then along ways_, per joint
+  // limit, per body its rotation.
   struct Reach {
     std::vector<double> geometry, limit, turn;
   };
-  Reach make_reach() const;
   void propagate_reach(const VecCRef& q, const VecX& bound, double h, double steps, Reach& reach);
   double reach_of(const Reach& reach, int guard) const;
   // Of the two shapes of a pair together, of quantities per geometry as in Reach.
   double both(const std::vector<double>& values, int guard) const {
-    return values[ways_[guard].first] + values[ways_[guard].second];
+    return values[pair_ways_[guard].first] + values[pair_ways_[guard].second];
   }
-  void find_roots();
+  void find_ways();
   double used_before(int interval) const { return interval > 0 ? span_.used_after(interval) : span_.used(); }
   void place_body(int body);
   void place_pair(int guard);
@@ -230,6 +232,7 @@ class Guards {
   bool has_closed_form(int guard) const;
   PosedShape posed(const Pair& pair, int geometry) const;
   DistanceBounds::Bounds known_bounds(int guard);
+  double cheap_bound(int guard);
   double limit_gap(int guard, const VecCRef& q) const;
   void keep_start();
   double span_of_pairs(double enough);
@@ -251,19 +254,23 @@ class Guards {
   ShapeDistance distance_;
   DistanceBounds distance_bounds_;
   std::vector<double> linear_;  // per body: bound on its origin's displacement
-  std::vector<double> linear_in_root_, turn_in_root_;
-  std::vector<char> is_root_;              // per joint: whether all shapes of its tree move with it
-  std::vector<std::pair<int, int>> ways_;  // of each pair: where the motions of its shapes are in Reach::geometry
-  Reach motion_, doubt_, expected_;        // expected: in a reference step of the span
-  std::vector<double> odometer_;           // per geometry, twice as in Reach
-  std::vector<double> interval_start_;     // as it was where the interval began, kept where it is about to change
-  double interval_used_ = 0.0;             // of the span, where the interval began
-  bool any_look_ = false;                  // whether a step of the interval looked at guards
-  long spans_ = 0;                         // how many spans have begun
-  static constexpr double kNoises = 4.0;   // tolerances of depth
-  std::vector<double> gap_;                // of each guard at its last evaluation,
-  std::vector<long> gap_for_;              // and the configuration of that
-  std::vector<double> marks_;              // per guard: odometer sum up to which it may be skipped
+  std::vector<double> arm_;     // per body: the lengths of its chain from the world
+  struct Way {
+    int geometry, base;  // in the frame of this body
+  };
+  std::vector<Way> ways_;                       // of pairs of one tree
+  std::vector<std::pair<int, int>> pair_ways_;  // of each pair: where the motions of its shapes are in Reach::geometry
+  std::vector<int> bases_;                      // of each pair: the last body that moves both shapes, -1: none
+  Reach motion_, doubt_, expected_;             // expected: in a reference step of the span
+  std::vector<double> odometer_;                // per geometry and way, as in Reach
+  std::vector<double> interval_start_;          // as it was where the interval began, kept where it is about to change
+  double interval_used_ = 0.0;                  // of the span, where the interval began
+  bool any_look_ = false;                       // whether a step of the interval looked at guards
+  long spans_ = 0;                              // how many spans have begun
+  static constexpr double kNoises = 4.0;        // tolerances of depth
+  std::vector<double> gap_;                     // of each guard at its last evaluation,
+  std::vector<long> gap_for_;                   // and the configuration of that
+  std::vector<double> marks_;                   // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
   bool span_ended_ = false;  // whether the step whose motion is bounded follows one of a span

@@ -40,9 +40,10 @@ void Selection::project(const std::vector<Candidate>& all, const Vec3& n) {
   }
 }
 
-// Area of the convex hull of the chosen points, without the one at place `skipped` (-1: none), and of `added`.
-double Selection::area_with(int skipped, int added) {
-  subset_.assign(1, added);
+// Sets hull_ to the convex hull of the chosen points, without the one at place `skipped` (-1: none); returns twice its
+// area.
+double Selection::set_hull(int skipped) {
+  subset_.clear();
   for (int k = 0; k < static_cast<int>(chosen_.size()); ++k)
     if (k != skipped) subset_.push_back(chosen_[k]);
   planar_hull(
@@ -50,39 +51,51 @@ double Selection::area_with(int skipped, int added) {
       hull_);
   double twice = 0.0;
   for (std::size_t k = 2; k < hull_.size(); ++k) twice += wedge(at_[hull_[0]], at_[hull_[k - 1]], at_[hull_[k]]);
-  return 0.5 * twice;
+  return twice;
+}
+
+// Twice the area by which another point makes hull_ larger: the triangles over the sides that it sees.
+double Selection::area_added(int point) const {
+  double twice = 0.0;
+  for (std::size_t k = 0; k < hull_.size(); ++k) {
+    const int next = hull_[k + 1 < hull_.size() ? k + 1 : 0];
+    twice += std::max(0.0, -wedge(at_[hull_[k]], at_[next], at_[point]));
+  }
+  return twice;
 }
 
 void Selection::add_one_by_one(int most) {
-  double extent = 0.0, area = 0.0;
+  double extent = 0.0;
   while (static_cast<int>(chosen_.size()) < most) {
     const bool second = chosen_.size() == 1;
+    const double area = second ? 0.0 : set_hull(-1);
     int best = -1;
-    double largest = second ? 0.0 : area + kLeastArea * extent * extent;
+    double largest = second ? 0.0 : area + 2.0 * kLeastArea * extent * extent;
     for (int i : distinct_) {
-      const double value = second ? (at_[i] - at_[chosen_[0]]).norm() : area_with(-1, i);
+      const double value = second ? (at_[i] - at_[chosen_[0]]).norm() : area + area_added(i);
       if (value <= largest * kTie) continue;
       largest = value;
       best = i;
     }
     if (best < 0) return;
     chosen_.push_back(best);
-    (second ? extent : area) = largest;
+    if (second) extent = largest;
   }
 }
 
 // Exchanges a chosen point for another one where that gives a larger area and one of the deepest points remains.
 void Selection::exchange() {
   if (chosen_.size() < 3 || chosen_.size() == distinct_.size()) return;
-  double area = area_with(0, chosen_[0]);
+  double area = set_hull(-1);
   for (int pass = 0; pass < kMaxExchanges; ++pass) {
     const double before = area;
     for (int k = 0; k < static_cast<int>(chosen_.size()); ++k) {
       int deep = 0;
       for (int j = 0; j < static_cast<int>(chosen_.size()); ++j) deep += j != k && deepest_[chosen_[j]];
+      const double others = set_hull(k);
       for (int i : distinct_) {
         if (deep == 0 && !deepest_[i]) continue;
-        const double value = area_with(k, i);
+        const double value = others + area_added(i);
         if (value <= area * kTie) continue;
         area = value;
         chosen_[k] = i;

@@ -23,7 +23,8 @@ class Selection {
  private:
   using Vec2 = Eigen::Vector2d;
   void project(const std::vector<Candidate>& all, const Vec3& n);
-  double area_with(int skipped, int added);
+  double set_hull(int skipped);
+  double area_added(int point) const;
   void add_one_by_one(int most);
   void exchange();
 

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "run/simulator.hpp"
 
@@ -17,18 +18,26 @@ namespace {
 constexpr double kDearer = 3.0;
 // A step to which nothing happens may cost more: what stays at rest with located events is not solved any more.
 constexpr double kQuietDearer = 5.0;
-// [us] of bursts besides, of few points; those of a grasp reach 8e4 (test_hand_scene.py). With many points the order of
-// impacts is hardly determined by the scene, and to locate them is worth less. Runs that choose their steps for an
-// accuracy may spend it once per stage, each of which has its own distances.
+// [us] of bursts besides, of up to so many points; those of a grasp reach 8e4 (test_hand_scene.py). Runs that choose
+// their steps for an accuracy may spend it once per stage, each of which has its own distances.
 constexpr double kBurst = 1e5, kFew = 4.0;
 constexpr double kCounted = 1e-3;  // [s] length of the dense steps that count, unless those of contact are shorter
 constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
+constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
 
 bool has_adhesion(const Scene& scene) {
   return std::any_of(scene.laws.begin(), scene.laws.end(), [](const ContactLaw& law) { return law.pull.given(); });
+}
+
+// Of what a burst of few points may cost, that of so many. n points can hit in n! orders. What locating them tells is
+// one of these, and it is worth the less the more there are which the same scene but for rounding might have taken.
+double share_of_burst(double points) {
+  double share = 1.0;
+  for (; points > kFew && share > kEpsilon; --points) share /= points;
+  return share;
 }
 
 }  // namespace
@@ -61,10 +70,12 @@ double Simulator::allowed_cost(double length) const {
 
 // Whether it has cost more than dense steps by far.
 bool Simulator::events_accumulate(double cost, double length) const {
-  if (!(state_.dense.located.excess + cost > 0.0)) return false;
-  const double few = std::min(1.0, kFew / std::max(1.0, points_now()));
+  const double beyond = state_.dense.located.excess + cost - allowed_cost(length);
+  if (!(state_.dense.located.excess + cost > 0.0 && beyond > 0.0)) return false;
   const double burst = truncation_.bound > 0.0 ? kBurst * options_.stages : kBurst;
-  return state_.dense.located.excess + cost > burst * few * few + allowed_cost(length);
+  // A phase of dense steps is some of them long: what costs less than those is not worth one.
+  const double phase = DensePhase::kQuietSteps * costs_.dense_step(points_now());
+  return beyond > std::max(burst * share_of_burst(points_now()), phase);
 }
 
 // Whether a run that has ended so goes on with dense steps.

@@ -226,6 +226,50 @@ def test_a_short_bound_on_a_distance_gives_way_to_the_distance():
     assert np.diff(looks).min() >= BETWEEN_LOOKS
 
 
+def chain_of(model: pin.Model, joint: int) -> list[int]:
+    return [joint, *chain_of(model, model.parents[joint])] if joint > 0 else []
+
+
+def branched_arm(rng: np.random.Generator, links: int) -> pin.Model:
+    """Links that hang on earlier ones, by joints that turn or slide."""
+    model = pin.Model()
+    for k in range(links):
+        parent = int(rng.choice([0, *chain_of(model, k)]))  # depth first
+        kinds = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ(), pin.JointModelPX(), pin.JointModelPZ())
+        place = pin.SE3(pin.exp3(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.5, 0.5, 3))
+        joint = model.addJoint(parent, kinds[rng.integers(len(kinds))], place, f"joint{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    return model
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_what_moves_both_links_of_a_pair_does_not_count(seed: int):
+    """No gap changes by more than the bound on the motion of its pair, and the joints that carry both links of a pair
+    alone give a bound of zero."""
+    rng = np.random.default_rng(seed)
+    links, h = 9, 0.05
+    model = branched_arm(rng, links)
+    scene = cvi.Scene.from_pinocchio(model, arm_geometry(model))
+    q0, v = rng.uniform(-1.0, 1.0, links), rng.uniform(-2.0, 2.0, links) * (rng.random(links) < 0.7)
+    core = scene.core()
+
+    def motion(bound: np.ndarray) -> np.ndarray:
+        return np.asarray(_core.near_pairs(core, q0[None], (q0 + h * v)[None], bound[None], h)[0][1])
+
+    change = np.abs(np.asarray(core.gaps(q0 + h * v)[0]) - np.asarray(core.gaps(q0)[0]))
+    assert (change[: len(scene.pair_names)] <= motion(np.abs(v)) + 1e-12).all()
+    for k, pair in enumerate(scene.collision_model.collisionPairs):
+        i, j = pair.first, pair.second
+        both = set(chain_of(model, i + 1)) & set(chain_of(model, j + 1))
+        one = set(chain_of(model, i + 1)) ^ set(chain_of(model, j + 1))
+        carries = np.zeros(links)
+        carries[[joint - 1 for joint in both]] = 1.0
+        assert motion(carries)[k] <= 1e-12
+        moves = np.zeros(links)
+        moves[[joint - 1 for joint in one]] = 1.0
+        assert motion(moves)[k] > 0.0
+
+
 def cloud(n: int, distance: float = 0.25) -> tuple[cvi.Scene, np.ndarray]:
     """n spheres of radius 0.1 m on a grid above the ground."""
     scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
