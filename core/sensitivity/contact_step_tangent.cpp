@@ -166,7 +166,8 @@ void ContactStepTangent::take_contacts() {
     if (bound > 0.0 && !s.joints[k].slipped) margin_ = std::min(margin_, 1.0 - friction / bound);
     position_.joints.push_back(at_bound ? Mode::kKept : Mode::kStick);
   }
-  const double speed = s.v.cwiseAbs().maxCoeff();
+  // A slip that comes to rest in a short step is as short as that.
+  const double speed = s.v.cwiseAbs().maxCoeff() * std::min(1.0, s.h / s.nominal);
   double largest = 0.0;
   for (const ContactStepRecord::Contact& c : s.contacts) largest = std::max(largest, s.lambda[c.row]);
   for (std::size_t i = 0; i < n; ++i) {

@@ -186,9 +186,11 @@ void DenseStepTangent::take_coefficients() {
     const Eigen::Vector2d slip = w.array() / shares;
     const bool sticks = slip.norm() <= DenseStepRecord::kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
     found.own_mu = takes_friction(*scene_, guard, sticks);
-    if (sticks) {
+    // What carries a load from the last step sticks at its end along all directions.
+    const auto lasts = [&](const DenseStepRecord::Round& round) { return round.lasting[i] != 0; };
+    if (sticks && std::none_of(s.rounds.begin(), s.rounds.end(), lasts)) {
       found.without_rest = scene_->sliding_friction(guard, 0.0);
-    } else if (law->mu.given()) {
+    } else if (!sticks && law->mu.given()) {
       found.mu_by_slip = law->mu.slope(slip.norm()) * (slip.normalized().array() / shares).matrix();
     }
   }

@@ -59,8 +59,8 @@ def corner() -> Start:
 
 def resting(radii: dict[str, float], v: tuple[float, ...]) -> Start:
     """A ball on the ground, which may be moved along it."""
-    scene, q, _ = ball(radii, height=0.1)
-    return scene, q, np.array(v)
+    scene = ball(radii)[0]
+    return scene, np.array([0.1, 0.2, 0.1, 0.0, 0.0, 0.0, 1.0]), np.array(v)
 
 
 # name -> start, directions of (q0, v0), duration
@@ -77,7 +77,7 @@ RUNS: dict[str, tuple[Callable[[], Start], list[int], float]] = {
     "a ball comes to roll": (lambda: ball(BOTH), ALL, 0.5),
     "a ball comes to roll on a turntable": (lambda: ball(ROLLS, **TURNTABLE), ALL, 0.5),
     "a ball spins down": (lambda: resting(SPINS, (0.0, 0.0, 0.0, 0.0, 0.0, 3.0)), [0, 1, 5, 11], 0.5),
-    "a ball rolls to rest": (lambda: resting({"rolling_radius": 0.02}, (0.2, 0.1, 0.0, -1.0, 2.0, 0.0)), FLAT, 0.4),
+    "a ball rolls to rest": (lambda: resting({"rolling_radius": 0.02}, (0.4, 0.1, 0.0, -1.0, 2.0, 0.0)), FLAT, 0.5),
     "a ball rolls on a ball and leaves it": (on_ball, ALL, 0.5),
     "a corner slides and spins": (corner, ALL, 0.12),
 }
