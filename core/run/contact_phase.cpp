@@ -232,7 +232,6 @@ bool Simulator::advance_contact(Interval& interval, long halved, Recording& reco
         alpha >= 1.0 && h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;
     // A step that an event cuts shorter than any that is tried leads nowhere: a contact may be released and close again
     // for ever.
-    if (alpha >= 1.0) changes_.begin_interval();  // a whole contact step: in each the first ends of slips are located
     if (alpha >= 1.0 || taken >= StepControl::kShortest * nominal)
       state_.control.progress();
     else if (!state_.control.count_standstill())

@@ -84,7 +84,9 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
     } else if (f.slips) {
       const bool follows = follows_slip(f, step.lambda_end, velocity_.w.segment(f.rows.row, f.rows.count));
       if (follows) mode = Mode::kSlip;
-      limited |= !follows;
+      // What ended the step is at its limit there.
+      const bool ends = step.ending == ContactStepEnd::kStick && ended_joint() < 0 && &ended_friction() == &f;
+      limited |= !follows && !ends;
     }
     velocity_.frictions.push_back(mode);
   }

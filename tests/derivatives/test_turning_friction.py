@@ -13,7 +13,7 @@ import pytest
 import contactvi as cvi
 from derivatives.differences import transpose_error
 from derivatives.test_friction_laws import ALL, FLAT
-from derivatives.test_persistent_sensitivity import Start, check
+from derivatives.test_persistent_sensitivity import Start, check, compare
 
 SPINS = {"spinning_radius": 0.02}
 ROLLS = {"rolling_radius": 0.005}
@@ -74,7 +74,6 @@ RUNS: dict[str, tuple[Callable[[], Start], list[int], float]] = {
     "a ball slips, spins and rolls": (lambda: ball(BOTH), ALL, 0.16),
     "a ball slips on a turntable": (lambda: ball(BOTH, **TURNTABLE), ALL, 0.16),
     "a ball slips down a slope": (lambda: ball(BOTH, tilt=0.3, height=0.14), ALL, 0.16),
-    "a ball comes to roll": (lambda: ball(BOTH), ALL, 0.5),
     "a ball comes to roll on a turntable": (lambda: ball(ROLLS, **TURNTABLE), ALL, 0.5),
     "a ball spins down": (lambda: resting(SPINS, (0.0, 0.0, 0.0, 0.0, 0.0, 3.0)), [0, 1, 5, 11], 0.5),
     "a ball rolls to rest": (lambda: resting({"rolling_radius": 0.02}, (0.4, 0.1, 0.0, -1.0, 2.0, 0.0)), FLAT, 0.5),
@@ -89,3 +88,17 @@ def test_runs_with_friction_against_turning(name: str) -> None:
     traj = check(make(), directions, (1e-4, 5e-5), duration=duration, dt=0.01, order=2)
     assert traj.status.ok
     assert transpose_error(traj, ["q0", "v0", "friction", "gravity", "inertia:" + traj.scene.model.names[-1]]) <= 1e-11
+
+
+def test_a_slip_and_a_spin_that_come_to_rest_together() -> None:
+    """Their direction turns up to the end, which leaves the limit of friction within a short step: a kink."""
+    (scene, q, v), options = ball(BOTH), {"duration": 0.5, "dt": 0.01, "order": 2, "record": "gradient"}
+    traj = cvi.simulate(scene, q, v, **options)
+    with pytest.raises(cvi.NotDifferentiable, match="sticking and slipping"):
+        traj.sensitivity()
+
+    def end(change: np.ndarray) -> np.ndarray:
+        run = cvi.simulate(scene, pin.integrate(scene.model, q, change[:6]), v + change[6:], **options)
+        return np.concatenate([pin.difference(scene.model, traj.q[-1], run.q[-1]), run.v[-1]])
+
+    compare(traj.sensitivity(on_kink="taken"), end, ALL, (1e-4, 5e-5))
