@@ -11,6 +11,7 @@
 #include <array>
 #include <chrono>
 #include <optional>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -222,9 +223,9 @@ void expose_simulator(nb::module_& m) {
       .def(
           "numbers",
           [](const KeptContactSteps& kept) {
-            return nb::make_tuple(hand_over(numbers_of(kept.steps)), hand_over(numbers_of(kept.blocks)),
-                                  hand_over(numbers_of(kept.dense)), hand_over(numbers_of(kept.held)),
-                                  hand_over(law_numbers_of(kept.steps)), hand_over(law_numbers_of(kept.held)));
+            return std::make_tuple(hand_over(numbers_of(kept.steps)), hand_over(numbers_of(kept.blocks)),
+                                   hand_over(numbers_of(kept.dense)), hand_over(numbers_of(kept.held)),
+                                   hand_over(law_numbers_of(kept.steps)), hand_over(law_numbers_of(kept.held)));
           },
           "Return the contact steps, impacts of several points, dense steps and smooth steps with rows as numbers, for "
           "files, and of the first and the last what their laws of contact need.");

@@ -42,8 +42,9 @@ class ContactTangent {
   const ContactSurface& surface(int side) const { return surface_[side]; }
 
   // The derivative along dq, shape (nv,), of the rows n, t1, t2 (or n alone) as columns of dW, (nv, 1 or 3), and where
-  // it has more of those of spinning and rolling; zero for a joint limit. Tangent vectors are body-fixed on spherical joints, as dq and the rows are. t2 = n x t1. The rows of
-  // friction that depends on the direction have its shares (TangentFrame).
+  // it has more of those of spinning and rolling; zero for a joint limit. Tangent vectors are body-fixed on spherical
+  // joints, as dq and the rows are. t2 = n x t1. The rows of friction that depends on the direction have its shares
+  // (TangentFrame).
   void change(const VecCRef& dq, const Vec3& t1, Eigen::Ref<MatX> dW);
   bool has_axis() const { return law_ != nullptr; }
   // By how much the tangents turn about the normal where that changes by dn against the bodies; 0 without an axis.

@@ -298,8 +298,8 @@ Vec3 ContactStepTangent::place_change(int contact, const VecX& dq1) {
          relative(twists1_, contact, place(twists1_, contact));
 }
 
-// What the rows W of the friction of a contact, and the velocities of its surfaces in them, change by where its tangents
-// turn about the normal.
+// What the rows W of the friction of a contact, and the velocities of its surfaces in them, change by where its
+// tangents turn about the normal.
 void ContactStepTangent::turn_tangents(const ContactStepRecord::Contact& c, double about, const MatX& W,
                                        const VecX& own, MatX& dW, VecX& down) const {
   for (const FrictionRows& rows : friction_rows(c.row, c.before.rows())) {

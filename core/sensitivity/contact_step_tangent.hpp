@@ -10,8 +10,8 @@
 //
 // Surfaces that move along themselves have velocities of their own in the slips, which change with the configuration
 // and the time. Friction that depends on the speed is that of the slip over the step in both problems,
-// d mu = mu' s . ds / |s|. Adhesion takes from the impulses of the normals half of its own at each end. Friction against
-// spinning and rolling has rows of its own (friction_rows.hpp), with the same law.
+// d mu = mu' s . ds / |s|. Adhesion takes from the impulses of the normals half of its own at each end. Friction
+// against spinning and rolling has rows of its own (friction_rows.hpp), with the same law.
 //
 // Friction and slip are compared in the frames of tangents (n, t1, t2) at both ends. Only how these frames turn against
 // each other matters: t1 at the start turns with its normal by the shortest turn, or with the plane that it is fixed

@@ -4,7 +4,8 @@
 // with the velocity v0; gaps and rows of a place are those at the end of that motion.
 //   v_0      the smooth step from (q0, p0), q_0 = q0 (+) h v_0: the first place
 //   round    D (v_a - v_r) = W0^T (L_a - L_r), the whole law for L_a with the speeds
-//              w_n = (gap(q_p) - allowed)/h + W0_n (v_a - v_p),   w_t = W0_t v_a + (W_s - W0)_t v_s / 2 + (u_s + u_0) / 2
+//              w_n = (gap(q_p) - allowed)/h + W0_n (v_a - v_p),
+//              w_t = W0_t v_a + (W_s - W0)_t v_s / 2 + (u_s + u_0) / 2
 //            about a place p, from a place r (of no impulses, or p); then the smooth step from (q0, p0 + W0^T L) with
 //            L_t = L_a,t and the L_n that close loaded gaps: the next place
 //   end      v' = M1^-1 (p1- + W1^T L'), the whole law for L' and w = W1 v'

@@ -1,5 +1,5 @@
-// The rows of the friction of a contact point, in laws that are differentiated: those against its slip, with the spin as
-// a third component where that has a radius, and those against rolling.
+// The rows of the friction of a contact point, in laws that are differentiated: those against its slip, with the spin
+// as a third component where that has a radius, and those against rolling.
 #pragma once
 
 #include <vector>
