@@ -741,7 +741,7 @@ class KeptContactSteps:
     def __init__(self, scene: Scene, numbers: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]) -> None:
         """From what numbers() returns."""
 
-    def numbers(self) -> tuple:
+    def numbers(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))]]:
         """
         Return the contact steps, impacts of several points, dense steps and smooth steps with rows as numbers, for files, and of the first and the last what their laws of contact need.
         """
