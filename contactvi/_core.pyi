@@ -738,20 +738,13 @@ class KeptContactSteps:
     The contact steps, dense ones too, of a call, as their derivatives need them.
     """
 
-    def __init__(self, scene: Scene, steps: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], dense: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], held: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
-        """From their numbers in a file."""
+    def __init__(self, scene: Scene, numbers: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]) -> None:
+        """From what numbers() returns."""
 
-    def step_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
-        """Return the contact steps as numbers, for files."""
-
-    def block_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
-        """Return the impacts of several points as numbers, for files."""
-
-    def dense_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
-        """Return the dense steps as numbers, for files."""
-
-    def held_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
-        """Return the smooth steps that keep rows as numbers, for files."""
+    def numbers(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))]]:
+        """
+        Return the contact steps, impacts of several points, dense steps and smooth steps with rows as numbers, for files, and of the first and the last what their laws of contact need.
+        """
 
 class Snapshot:
     """All that the rest of a run depends on."""

@@ -279,8 +279,7 @@ class NotDifferentiable(ContactviError):
       (a force that jumps, in a step whose time moves);
     - of a persistent contact: "release", "stick", "redundant" points that share a load, "node" (an event at the end of
       a step), "inside" of a step, "dense" steps;
-    - "law": friction against spinning or rolling, or another law of contact in a dense step, whose derivatives are not
-      known;
+    - "law": a law of contact for which files of older versions lack what derivatives need;
     - "second": there is a first derivative, but no second one that is known.
     """
 

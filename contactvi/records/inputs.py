@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-# The kinds of steps and impacts of `RunInputs.contact_steps`, as files name their numbers.
-STORED = ("contact_steps", "impact_blocks", "dense_steps", "held_steps")
+# The numbers of contactvi._core.KeptContactSteps, as files name them. What laws of contact need is apart from the
+# steps: files of older versions lack it.
+STORED = ("contact_steps", "impact_blocks", "dense_steps", "held_steps", "contact_laws", "held_laws")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,30 +28,25 @@ class RunInputs:
             contact steps and dense steps, or at those of speed, and ropes with dampers that became taut.
         contact_steps: those with persistent contacts and dense ones, one contactvi._core.KeptContactSteps per call of
             the engine.
-        stored_steps, stored_blocks, stored_dense, stored_held: those of earlier calls, read from a file or a pickle, as
-            numbers, one dimension each: the contact steps, the impacts of several points, the dense steps, and the
-            smooth steps with constraints; None where `contact_steps` holds all.
+        earlier: those of earlier calls, read from a file or a pickle: the numbers of `STORED`, one dimension each;
+            empty where `contact_steps` holds all.
     """
 
     control: Array | None
     target: Array | None
     saturated: int = 0
     contact_steps: tuple[Any, ...] = ()
-    stored_steps: Array | None = None
-    stored_blocks: Array | None = None
-    stored_dense: Array | None = None
-    stored_held: Array | None = None
+    earlier: tuple[Array, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle and deepcopy keep: contact steps as numbers, which the engine reads again."""
         kept = self.stored()
-        return RunInputs, (self.control, self.target, self.saturated, (), *(kept[name] for name in STORED))
+        return RunInputs, (self.control, self.target, self.saturated, (), tuple(kept[name] for name in STORED))
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what a file keeps of them, by name."""
         found: dict[str, NDArray[Any]] = {"saturated": np.array(self.saturated, dtype=np.int64)}
-        earlier = (self.stored_steps, self.stored_blocks, self.stored_dense, self.stored_held)
-        found.update(zip(STORED, _numbers(earlier, self.contact_steps), strict=True))
+        found.update(zip(STORED, _numbers(self.earlier, self.contact_steps), strict=True))
         for name, values in (("control", self.control), ("target", self.target)):
             if values is not None:
                 found[name] = np.asarray(values, dtype=float)
@@ -68,7 +64,7 @@ class GrowingInputs:
         self.saturated = 0
         self._blocks: list[tuple[int, Array | None, Array | None]] = []
         self._contact_steps: list[Any] = []
-        self._earlier: tuple[Array | None, ...] = (None,) * len(STORED)  # of a pickle, as numbers
+        self._earlier: tuple[Array, ...] = ()  # of a pickle, as numbers
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what pickle keeps: contact steps as numbers."""
@@ -95,7 +91,7 @@ class GrowingInputs:
         control, target = (
             _joined(counts, parts) for parts in ([b[1] for b in self._blocks], [b[2] for b in self._blocks])
         )
-        return RunInputs(control, target, self.saturated, tuple(self._contact_steps), *self._earlier)
+        return RunInputs(control, target, self.saturated, tuple(self._contact_steps), self._earlier)
 
 
 def _joined(counts: Sequence[int], parts: Sequence[Array | None]) -> Array | None:
@@ -108,11 +104,7 @@ def _joined(counts: Sequence[int], parts: Sequence[Array | None]) -> Array | Non
     )  # fmt: skip
 
 
-def _numbers(earlier: Sequence[Array | None], calls: Sequence[Any]) -> tuple[Array, ...]:
+def _numbers(earlier: tuple[Array, ...], calls: Sequence[Any]) -> tuple[Array, ...]:
     """Return all kinds of `STORED` as numbers: those given so, then those of the calls."""
-    kinds: list[list[Array]] = [[] if numbers is None else [numbers] for numbers in earlier]
-    for kept in calls:
-        of_call = (kept.step_numbers(), kept.block_numbers(), kept.dense_numbers(), kept.held_numbers())
-        for parts, numbers in zip(kinds, of_call, strict=True):
-            parts.append(numbers)
-    return tuple(np.concatenate(parts) if parts else np.zeros(0) for parts in kinds)
+    all_calls = [*([earlier] if earlier else []), *(kept.numbers() for kept in calls)]
+    return tuple(np.concatenate([np.zeros(0), *(call[k] for call in all_calls)]) for k in range(len(STORED)))

@@ -17,7 +17,6 @@ from contactvi.errors import (
     ConstraintError,
     DerivativeError,
     InputError,
-    NotDifferentiable,
     SceneError,
     UntestedPairWarning,
     UserFunctionError,
@@ -257,15 +256,8 @@ class CompiledScene:
         """Raise for what is known before a run to have no derivative.
 
         Raises:
-            DerivativeError: a function of the user came without derivatives. NotDifferentiable: a pair has friction
-                against spinning or rolling.
+            DerivativeError: a function of the user came without derivatives.
         """
-        if self.turning_pair is not None:
-            raise NotDifferentiable(
-                "Friction against spinning or rolling has no derivative that is known", reason="friction",
-                pair=self.turning_pair, expected="pairs without it", got="spinning_radius or rolling_radius > 0",
-                remedy="Set both radii to 0 with scene.set_contact, or use finite differences",
-            )  # fmt: skip
         for element in self._scene.elements:
             given = element.derivatives if isinstance(element, UserForce) else True
             given = element.hessian if isinstance(element, UserPotential) else given

@@ -14,7 +14,7 @@ from contactvi.records import codes, contacts, dense_steps
 from contactvi.records import events as event_log
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.dense_steps import DenseSteps
-from contactvi.records.inputs import RunInputs
+from contactvi.records.inputs import STORED, RunInputs
 from contactvi.records.rows import Fields, joined
 from contactvi.records.work import WORKS, ConstraintRows, Forces
 from contactvi.trajectory import polynomials as dense
@@ -138,16 +138,14 @@ class EntryReader:
             return None
         nv = self._sizes["v"]
         control, target = self._per_step("input/control", nv), self._per_step("input/target", 2 * nv)
-        steps, blocks = (self.entry(f"input/{name}", (None,)) for name in ("contact_steps", "impact_blocks"))
-        # Files of versions in which such steps had no derivatives lack them.
-        dense, held = (
-            self.entry(name, (None,)) if name in self._entries else np.zeros(0)
-            for name in ("input/dense_steps", "input/held_steps")
+        always = ("contact_steps", "impact_blocks")  # files of versions without derivatives of the others lack those
+        earlier = tuple(
+            self.entry(f"input/{name}", (None,)) if name in always or f"input/{name}" in self._entries else np.zeros(0)
+            for name in STORED
         )
-        if not all(np.all(np.isfinite(numbers)) for numbers in (steps, blocks, dense, held)):
+        if not all(np.all(np.isfinite(numbers)) for numbers in earlier):
             self._refuse("contact steps or impacts of several points that are not finite")
-        saturated = int(self.entry("input/saturated", (), int))
-        return RunInputs(control, target, saturated, (), steps, blocks, dense, held)
+        return RunInputs(control, target, int(self.entry("input/saturated", (), int)), (), earlier)
 
     def _per_step(self, name: str, width: int) -> NDArray[np.float64] | None:
         if name not in self._entries:

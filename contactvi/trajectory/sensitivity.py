@@ -320,11 +320,9 @@ def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.Kep
     """Return the steps with contacts or constraints; ContactviError for numbers that are not those of the scene."""
     from contactvi import _core
 
-    steps, blocks, dense = inputs.stored_steps, inputs.stored_blocks, inputs.stored_dense
-    if steps is None or blocks is None or dense is None:
+    if not inputs.earlier:
         return list(inputs.contact_steps)
-    held = np.zeros(0) if inputs.stored_held is None else inputs.stored_held
-    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense, held), *inputs.contact_steps]
+    return [_core.KeptContactSteps(compiled.core, inputs.earlier), *inputs.contact_steps]
 
 
 def _pair_of(traj: Recorded, found: dict[str, Any]) -> tuple[str, str] | None:

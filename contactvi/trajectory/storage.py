@@ -101,6 +101,8 @@ input/contact_steps   (i,)           steps with persistent contacts (core/sensit
 input/impact_blocks   (j,)           impacts of several points, in the same file
 input/dense_steps     (d,)           dense steps, in the same file
 input/held_steps      (e,)           smooth steps with constraints, in the same file
+input/contact_laws    (k,)           what laws of contact need of the contact steps, and
+input/held_laws       (l,)           of the smooth steps; in the same file
 array/0, array/1 ...  any            arrays (meshes) that the header refers to
 ===================== ============== ===========================================================================
 

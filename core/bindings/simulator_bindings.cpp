@@ -1,5 +1,6 @@
 // Simulator: the event loop without the interpreter lock, results as arrays in public coordinates.
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
@@ -7,8 +8,10 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <optional>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -211,27 +214,21 @@ void expose_simulator(nb::module_& m) {
                                "The contact steps, dense ones too, of a call, as their derivatives need them.")
       .def(
           "__init__",
-          [](KeptContactSteps* kept, const Scene& scene, const VecX& steps, const VecX& blocks, const VecX& dense,
-             const VecX& held) {
-            const auto size = [](const VecX& x) { return static_cast<std::size_t>(x.size()); };
-            new (kept) KeptContactSteps{contact_steps_of(scene, steps.data(), size(steps)),
-                                        impact_blocks_of(scene, blocks.data(), size(blocks)),
-                                        dense_steps_of(scene, dense.data(), size(dense)),
-                                        held_steps_of(scene, held.data(), size(held))};
+          [](KeptContactSteps* kept, const Scene& scene, const std::array<VecX, 6>& numbers) {
+            const auto& [steps, blocks, dense, held, laws, held_laws] = numbers;
+            new (kept) KeptContactSteps{contact_steps_of(scene, steps, laws), impact_blocks_of(scene, blocks),
+                                        dense_steps_of(scene, dense), held_steps_of(scene, held, held_laws)};
           },
-          "scene"_a, "steps"_a, "blocks"_a, "dense"_a, "held"_a, "From their numbers in a file.")
+          "scene"_a, "numbers"_a, "From what numbers() returns.")
       .def(
-          "step_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.steps)); },
-          "Return the contact steps as numbers, for files.")
-      .def(
-          "block_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.blocks)); },
-          "Return the impacts of several points as numbers, for files.")
-      .def(
-          "dense_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.dense)); },
-          "Return the dense steps as numbers, for files.")
-      .def(
-          "held_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.held)); },
-          "Return the smooth steps that keep rows as numbers, for files.");
+          "numbers",
+          [](const KeptContactSteps& kept) {
+            return std::make_tuple(hand_over(numbers_of(kept.steps)), hand_over(numbers_of(kept.blocks)),
+                                   hand_over(numbers_of(kept.dense)), hand_over(numbers_of(kept.held)),
+                                   hand_over(law_numbers_of(kept.steps)), hand_over(law_numbers_of(kept.held)));
+          },
+          "Return the contact steps, impacts of several points, dense steps and smooth steps with rows as numbers, for "
+          "files, and of the first and the last what their laws of contact need.");
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.")
       .def(
           "__init__",

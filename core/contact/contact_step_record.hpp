@@ -43,8 +43,8 @@ struct ContactStepRecord {
   std::vector<Joint> joints;
   std::vector<Contact> contacts;
   bool constrained;  // there are bilateral constraints, those of the scene
-  // Files do not keep what friction that varies, moving surfaces and adhesion need.
-  bool from_file = false;
+  // Files of older versions do not keep what friction that varies, moving surfaces and adhesion need.
+  bool lacks_laws = false;
   ContactStepEnd ending;
   int ended;  // which contact is released, or which slip came to rest (as ContactStep numbers them); else -1
 

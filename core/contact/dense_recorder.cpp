@@ -210,8 +210,13 @@ void DenseRecorder::finish(const std::vector<DenseContact>& contacts, const VecX
     }
     project_rows(scene_->tree, W);  // as those of the contact problem (dense_rows.hpp)
   };
-  for (DenseStepRecord::Place& place : s.places)
+  for (DenseStepRecord::Place& place : s.places) {
+    guards_->place(place.q);
+    for (std::size_t i = 0; i < s.contacts.size(); ++i)
+      if (const int guard = s.contacts[i].point.guard; guards_->has_axis(guard))
+        place.t1[i] = guards_->tangent(guard, place.end[i].normal);
     fill(place.q, [&](std::size_t i) { return place.end[i]; }, [&](std::size_t i) { return place.t1[i]; }, place.W);
+  }
   fill(
       s.q0, [&](std::size_t i) { return s.contacts[i].start; }, [&](std::size_t i) { return s.contacts[i].t1_start; },
       s.W0);

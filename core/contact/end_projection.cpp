@@ -44,7 +44,7 @@ bool ContactStep::velocity_impulses() {
     out.slipped = false;
     out.slip.setZero();
     out.reversed = 0.0;
-    out.keeps = out.freed = false;
+    out.keeps = out.freed = out.roll_keeps = out.roll_freed = false;
     out.turned = false;
     if (out.active) active_.push_back(static_cast<int>(i));
     if (contacts_[i].mu == 0.0) continue;
@@ -174,7 +174,10 @@ void ContactStep::note_kept_directions(bool first) {
   for (std::size_t a = 0; a < active_.size(); ++a) {
     ContactOutcome& out = outcomes_[active_[a]];
     out.keeps = end_cones_[friction_rows_ + a].frozen;
-    if (first) out.freed = out.slipped && !out.keeps;
+    out.roll_keeps = end_cones_[friction_rows_ + a].frozen_rolling;
+    if (!first) continue;
+    out.freed = out.slipped && !out.keeps;
+    out.roll_freed = out.rolled && !out.roll_keeps;
   }
 }
 

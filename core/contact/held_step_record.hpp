@@ -25,8 +25,8 @@ struct HeldStepRecord {
   std::vector<FrictionJoint> joints = {};
   HeldStepEnd ending = HeldStepEnd::kGiven;
   int ended = -1;  // whose slip or contact: contacts, then joints; else -1
-  // Files do not keep what friction that varies, moving surfaces and adhesion need.
-  bool from_file = false;
+  // Files of older versions do not keep what friction that varies, moving surfaces and adhesion need.
+  bool lacks_laws = false;
 };
 
 // The step from (q0, p0) that was just solved, without contacts.

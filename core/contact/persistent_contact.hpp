@@ -73,6 +73,8 @@ struct ContactOutcome {
   double spin = 0;
   Vec3 roll_W = Vec3::Zero();
   bool rolled = false, rolls = false, roll_turned = false;  // as slipped, slips, turned
+  bool roll_keeps = false, roll_freed = false;
+  Vec3 turning_slip = Vec3::Zero();  // (spin, roll1, roll2) over the step, as slip; 0 where it did not slip or roll
   double roll_reversed = 0;
 };
 

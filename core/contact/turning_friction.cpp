@@ -24,10 +24,12 @@ void ContactStep::classify_turning(std::size_t i, double speed) {
     return lambda_.segment(r + first, size).norm() >= bound * (1.0 - kOnCone) &&
            s.segment(first, size).norm() > kStill * speed;
   };
+  out.turning_slip.setZero();
   out.slipped = moves(1, count, persistent.mu * lambda_[r]);
   if (out.slipped) {
     const VecX d = s.segment(1, count).normalized();
     out.slip = s.segment<2>(1);
+    if (cone.spins) out.turning_slip[0] = s[3];
     cone.d = d.head<2>();
     cone.d_spin = cone.spins ? d[2] : 0.0;
     out.turned = persistent.slip.dot(s[1] * t1 + s[2] * t2) + (cone.spins ? persistent.spin * s[3] : 0.0) < 0.0;
@@ -38,6 +40,7 @@ void ContactStep::classify_turning(std::size_t i, double speed) {
   const int roll = persistent.rolling_row();
   out.rolled = moves(roll, 2, lambda_[r]);
   if (!out.rolled) return;
+  out.turning_slip.tail<2>() = s.segment<2>(roll);
   cone.d_rolling = s.segment<2>(roll).normalized();
   out.roll_turned = persistent.roll.dot(s[roll] * t1 + s[roll + 1] * t2) < 0.0;
 }

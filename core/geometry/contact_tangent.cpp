@@ -39,6 +39,8 @@ bool ContactTangent::take(const VecCRef& q, int guard, const Contact& contact, c
   if (is_limit_) return true;
   if (!std::isfinite(contact.gap)) return refuse("the distance of the shapes is not known");
   const Pair& pair = scene_->pairs[guard];
+  turning_.setZero();
+  if (pair.law >= 0) turning_ << scene_->laws[pair.law].spinning, scene_->laws[pair.law].rolling;
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   scale_ = a.unbounded ? b.radius : b.unbounded ? a.radius : std::min(a.radius, b.radius);
   const bool is_known = point != nullptr && point->kind != PointKind::kWitness && point->kind != PointKind::kLimit;
@@ -56,10 +58,10 @@ bool ContactTangent::take_axis(const Pair& pair) {
 }
 
 // About the normal, of the tangents along the axis of friction that depends on the direction.
-double ContactTangent::turn_about_normal(const Vec3& t1) const {
+double ContactTangent::turn_about_normal(const Vec3& t1, const Vec3& axis_change, const Vec3& dn) const {
   const Vec3& n = contact_.normal;
   const double height = axis_.dot(n);
-  const Vec3 moved = twists_.turn(axis_body_).cross(axis_) - height * dn_;
+  const Vec3 moved = axis_change - height * dn;
   return n.cross(t1).dot(moved) / (axis_ - height * n).norm();
 }
 
@@ -236,16 +238,28 @@ void ContactTangent::change(const VecCRef& dq, const Vec3& t1, Eigen::Ref<MatX> 
     dx_[side] = moved[side] + slide + sign * surface_[side].sweep() * dn_;
   }
   const Vec3 none = Vec3::Zero(), t2 = n.cross(t1);
-  const double about = law_ != nullptr ? turn_about_normal(t1) : 0.0;
+  const double about = law_ != nullptr ? turn_about_normal(t1, twists_.turn(axis_body_).cross(axis_), dn_) : 0.0;
   dt_[0] = about * t2 - dn_.dot(t1) * n;
   dt_[1] = dn_.cross(t1) - about * t1;
   const Eigen::Vector2d own = shares();
   const Vec3 rows[3] = {n, own[0] * t1, own[1] * t2}, changes[3] = {dn_, own[0] * dt_[0], own[1] * dt_[1]};
-  for (int k = 0; k < static_cast<int>(dW.cols()); ++k) {
+  for (int k = 0; k < std::min(3, static_cast<int>(dW.cols())); ++k) {
     const Vec3 &F = rows[k], &dF = changes[k];
     twists_.add_wrench(contact_.body_b, contact_.point_b, dx_[1], F, dF, none, none, dW.col(k));
     twists_.add_wrench(contact_.body_a, contact_.point_a, dx_[0], -F, -dF, none, none, dW.col(k));
   }
+  if (dW.cols() <= 3) return;
+  int k = 3;
+  const auto add_turning = [&](double radius, const Vec3& axis, const Vec3& axis_change) {
+    const Vec3 T = radius * axis, dT = radius * axis_change;
+    twists_.add_wrench(contact_.body_b, contact_.point_b, none, none, none, T, dT, dW.col(k));
+    twists_.add_wrench(contact_.body_a, contact_.point_a, none, none, none, -T, -dT, dW.col(k));
+    ++k;
+  };
+  if (turning_[0] > 0.0) add_turning(turning_[0], n, dn_);
+  if (!(turning_[1] > 0.0)) return;
+  add_turning(turning_[1], t1, dt_[0]);
+  add_turning(turning_[1], t2, dt_[1]);
 }
 
 }  // namespace contactvi

@@ -41,11 +41,17 @@ class ContactTangent {
   // The features of a (0) and of b (1) at the nearest points; none of a joint limit.
   const ContactSurface& surface(int side) const { return surface_[side]; }
 
-  // The derivative along dq, shape (nv,), of the rows n, t1, t2 (or n alone) as columns of dW, (nv, 1 or 3); zero for a
-  // joint limit. Tangent vectors are body-fixed on spherical joints, as dq and the rows are. t2 = n x t1. The rows of
-  // friction that depends on the direction have its shares (TangentFrame).
+  // The derivative along dq, shape (nv,), of the rows n, t1, t2 (or n alone) as columns of dW, (nv, 1 or 3), and where
+  // it has more of those of spinning and rolling; zero for a joint limit. Tangent vectors are body-fixed on spherical
+  // joints, as dq and the rows are. t2 = n x t1. The rows of friction that depends on the direction have its shares
+  // (TangentFrame).
   void change(const VecCRef& dq, const Vec3& t1, Eigen::Ref<MatX> dW);
   bool has_axis() const { return law_ != nullptr; }
+  // By how much the tangents turn about the normal where that changes by dn against the bodies; 0 without an axis.
+  double turn_by_normal(const Vec3& t1, const Vec3& dn) const {
+    return has_axis() ? turn_about_normal(t1, Vec3::Zero(), dn) : 0.0;
+  }
+  const Eigen::Vector2d& turning() const { return turning_; }
   Eigen::Vector2d shares() const { return law_ != nullptr ? law_->shares : Eigen::Vector2d(1.0, 1.0); }
   // Derivatives of the normal and of the points of a and b along the last dq, world frame.
   const Vec3& normal_change() const { return dn_; }
@@ -66,7 +72,7 @@ class ContactTangent {
   bool polish();
   bool set_system();
   bool take_axis(const Pair& pair);
-  double turn_about_normal(const Vec3& t1) const;
+  double turn_about_normal(const Vec3& t1, const Vec3& axis_change, const Vec3& dn) const;
   bool refuse(const std::string& why);
   std::string names() const;
   int body(int side) const { return side == 0 ? contact_.body_a : contact_.body_b; }
@@ -91,6 +97,7 @@ class ContactTangent {
   const ContactLaw* law_ = nullptr;
   Vec3 axis_{};
   int axis_body_ = -1;
+  Eigen::Vector2d turning_ = Eigen::Vector2d::Zero();  // radii of friction against spinning and rolling [m]
 };
 
 }  // namespace contactvi

@@ -162,10 +162,12 @@ template <class Archive>
 void fields(Archive& a, ContactOutcome& x) {
   auto& [contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
          friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps,
-         position_turning, velocity_turning, spin, roll_W, rolled, rolls, roll_turned, roll_reversed] = x;
+         position_turning, velocity_turning, spin, roll_W, rolled, rolls, roll_turned, roll_keeps, roll_freed,
+         turning_slip, roll_reversed] = x;
   values(a, contact, t1, t2, position_impulse_W, velocity_impulse_W, position_impulse, velocity_impulse, slip_W,
          friction_work, w_n, slipped, slips, turned, reversed, active, keeps, freed, slip, paradox, jumps,
-         position_turning, velocity_turning, spin, roll_W, rolled, rolls, roll_turned, roll_reversed);
+         position_turning, velocity_turning, spin, roll_W, rolled, rolls, roll_turned, roll_keeps, roll_freed,
+         turning_slip, roll_reversed);
 }
 
 template <class Archive>

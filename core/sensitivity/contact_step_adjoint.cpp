@@ -95,21 +95,22 @@ void ContactStepAdjoint::law_gradient(const Problem& problem, const VecX& lc, Ve
       lbase[r] += lc[r];
     }
   }
-  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
-    const ContactStepRecord::Contact& contact = s.contacts[i];
-    const int r = contact.row, count = contact.before.rows();
-    const Mode mode = problem.contacts[i];
+  for (std::size_t i = 0; i < s.contacts.size(); ++i)
+    if (!problem.open[i]) lbase[s.contacts[i].row] += lc[s.contacts[i].row];
+  for (std::size_t k = 0; k < tangent_.frictions_.size(); ++k) {
+    const ContactStepTangent::Friction& f = tangent_.frictions_[k];
+    const auto& [row, count, rolls] = f.rows;
+    const Mode mode = problem.frictions[k];
     if (mode == Mode::kOpen) continue;
     if (mode == Mode::kStick) {
-      lbase.segment(r, count) += lc.segment(r, count);
+      lbase.segment(row, count) += lc.segment(row, count);
       continue;
     }
-    lbase[r] += lc[r];
-    const Eigen::Vector2d slip = tangent_.slip_of(problem, i), l = lc.segment<2>(r + 1);
-    lmu_[i] += problem.lambda[r] * slip.normalized().dot(l);
+    const VecX slip = tangent_.slip_of(problem, k), l = problem.lambda[f.normal] * lc.segment(row, count);
+    if (!rolls) lmu_[static_cast<Eigen::Index>(f.contact)] += slip.normalized().dot(l);
     VecX& changed = mode == Mode::kKept ? ldy : lbase;
-    changed.segment<2>(r + 1) += problem.lambda[r] * tangent_.mu_[i] * tangent_.turn(problem, i).transpose() * l;
-    ldy.segment<2>(r + 1) += problem.lambda[r] * tangent_.friction_by_slip(slip, i).transpose() * l;
+    changed.segment(row, count) += f.mu * tangent_.turn(problem, k).transpose() * l;
+    ldy.segment(row, count) += tangent_.friction_by_slip(slip, f).transpose() * l;
   }
 }
 
@@ -166,13 +167,13 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   lmu_ = VecX::Zero(contacts);
   if (t.slip_ends_ && lslip != 0.0) {
     VecX lw = none;
-    if (s.ended >= contacts) {
-      lw[t.joint_row(s.ended - contacts)] = lslip;
+    if (const int joint = t.ended_joint(); joint >= 0) {
+      lw[t.joint_row(static_cast<std::size_t>(joint))] = lslip;
     } else {
-      const ContactStepRecord::Contact& contact = s.contacts[s.ended];
-      const int r = contact.row;
-      lw.segment<2>(r + 1) = lslip * contact.outcome.slip.normalized();
-      ldy_.segment<2>(r + 1) = lslip * t.turn(contact.outcome.slip).transpose() * t.frozen_.w.segment<2>(r + 1);
+      const ContactStepTangent::Friction& f = t.ended_friction();
+      const auto& [row, count, rolls] = f.rows;
+      lw.segment(row, count) = lslip * f.slip.normalized();
+      ldy_.segment(row, count) = lslip * turn_of(f.slip).transpose() * t.frozen_.w.segment(row, count);
     }
     end_gradient(t.frozen_, t.v_frozen_, none, lw, sums);
   }

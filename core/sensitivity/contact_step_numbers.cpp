@@ -49,7 +49,7 @@ class Writer {
 
 class Reader {
  public:
-  Reader(const double* numbers, std::size_t count) : at_(numbers), end_(numbers + count) {}
+  explicit Reader(const VecX& numbers) : at_(numbers.data()), end_(numbers.data() + numbers.size()) {}
   bool done() const { return at_ == end_; }
 
   void number(double& x) {
@@ -180,6 +180,33 @@ void step_fields(Archive& a, Step& s) {
   for (auto& contact : s.contacts) kept_fields(a, contact);
 }
 
+// Of a contact, what laws beside Coulomb's with one number need.
+template <class Archive, class Persistent>
+void law_fields(Archive& a, Persistent& c) {
+  a.number(c.pull_share);
+  a.whole(c.by_velocity);
+  for (auto* x : {&c.spinning, &c.rolling, &c.spin}) a.number(*x);
+  a.fixed(c.roll);
+}
+
+template <class Archive, class Step>
+void step_law_fields(Archive& a, Step& s) {
+  for (auto& c : s.contacts) {
+    law_fields(a, c.before);
+    a.number(c.outcome.spin);
+    for (auto* x :
+         {&c.outcome.rolled, &c.outcome.rolls, &c.outcome.roll_turned, &c.outcome.roll_keeps, &c.outcome.roll_freed})
+      a.whole(*x);
+    a.fixed(c.outcome.turning_slip);
+  }
+}
+
+template <class Archive, class Step>
+void held_law_fields(Archive& a, Step& s) {
+  for (auto& c : s.contacts) law_fields(a, c);
+  a.sized(s.slips);
+}
+
 template <class Archive, class Block>
 void block_fields(Archive& a, Block& b) {
   a.whole(b.impacts);
@@ -283,6 +310,14 @@ bool belongs(const Scene& scene, const ContactPoint& p) {
   return p.kind == PointKind::kLimit || (is_body(scene, p.point_body) && is_body(scene, p.plane_body));
 }
 
+// Whether a contact has the laws of its pair.
+bool has_laws(const Scene& scene, const PersistentContact& c) {
+  if (!belongs(scene, c.point) || !(c.mu >= 0.0) || !(c.pull_share >= 0.0 && c.pull_share <= 1.0)) return false;
+  const ContactLaw* law = scene.law(c.point.guard);
+  const double spinning = law != nullptr ? law->spinning : 0.0, rolling = law != nullptr ? law->rolling : 0.0;
+  return c.spinning == spinning && c.rolling == rolling;
+}
+
 bool belongs(const Scene& scene, const ImpactBlockRecord& block) {
   if (block.impacts < 1 || !within(block.guard, scene.guard_count())) return false;
   for (const ImpactBlockRecord::Member& member : block.members) {
@@ -319,7 +354,7 @@ class Check {
   bool contacts_fit(Eigen::Index rows) const {
     for (const ContactStepRecord::Contact& c : s_.contacts) {
       const ContactPoint& p = c.before.point;
-      if (!belongs(scene_, p)) return false;
+      if (!belongs(scene_, p) || !(s_.lacks_laws || has_laws(scene_, c.before))) return false;
       const bool limit = p.kind == PointKind::kLimit;
       if (limit && c.before.mu > 0.0) return false;
       for (int body : {c.start.body_a, c.start.body_b, c.end.body_a, c.end.body_b})
@@ -336,8 +371,12 @@ class Check {
         return true;
       case ContactStepEnd::kRelease:
         return within(s_.ended, contacts);
-      case ContactStepEnd::kStick:
-        return within(s_.ended, contacts + s_.joints.size());
+      case ContactStepEnd::kStick: {
+        const std::size_t others = contacts + s_.joints.size();
+        if (within(s_.ended, others))
+          return static_cast<std::size_t>(s_.ended) >= contacts || s_.contacts[s_.ended].before.mu > 0.0;
+        return within(s_.ended, others + contacts) && s_.contacts[s_.ended - others].before.rows() > 4;
+      }
     }
     return false;
   }
@@ -429,7 +468,7 @@ bool belongs(const Scene& scene, const HeldStepRecord& s) {
   const Eigen::Index stages = s.rates.cols();
   Eigen::Index rows = tree.elements.constraint_rows, slides = 0;
   for (const PersistentContact& c : s.contacts) {
-    if (!belongs(scene, c.point) || !(c.mu >= 0.0)) return false;
+    if (!belongs(scene, c.point) || !(c.mu >= 0.0) || !(s.lacks_laws || has_laws(scene, c))) return false;
     if (c.keeps_place() && c.point.kind != PointKind::kVertex) return false;
     rows += c.slides() ? 1 : c.rows();
     slides += c.slides() ? 1 : 0;
@@ -440,6 +479,7 @@ bool belongs(const Scene& scene, const HeldStepRecord& s) {
     rows += joint.sticks ? 1 : 0;
   }
   if (!end_fits(s)) return false;
+  if (!s.lacks_laws && (s.slips.rows() != s.angles.rows() || s.slips.cols() != s.angles.cols())) return false;
   return s.h > 0.0 && s.q0.size() == tree.nq && s.p0.size() == tree.nv && s.v1.size() == tree.nv &&
          s.rates.rows() == tree.nv && stages >= 1 && stages <= kMaxStages && s.lambda.cols() == stages + 1 &&
          s.lambda.rows() == rows && s.angles.rows() == slides && (slides == 0 || s.angles.cols() == stages + 1);
@@ -452,14 +492,22 @@ std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps) {
   return std::move(writer.numbers);
 }
 
-std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double* numbers, std::size_t count) {
-  Reader reader(numbers, count);
+std::vector<double> law_numbers_of(const std::vector<ContactStepRecord>& steps) {
+  Writer writer;
+  for (const ContactStepRecord& step : steps) step_law_fields(writer, step);
+  return std::move(writer.numbers);
+}
+
+std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const VecX& numbers, const VecX& laws) {
+  Reader reader(numbers), law_reader(laws);
   std::vector<ContactStepRecord> steps;
   while (!reader.done()) {
     step_fields(reader, steps.emplace_back());
-    steps.back().from_file = true;
+    steps.back().lacks_laws = laws.size() == 0;
+    if (laws.size() > 0) step_law_fields(law_reader, steps.back());
     if (!Check(scene, steps.back()).fits()) refuse("numbers of another scene");
   }
+  if (!law_reader.done()) refuse("laws of more contacts");
   return steps;
 }
 
@@ -469,8 +517,8 @@ std::vector<double> numbers_of(const std::vector<ImpactBlockRecord>& blocks) {
   return std::move(writer.numbers);
 }
 
-std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double* numbers, std::size_t count) {
-  Reader reader(numbers, count);
+std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const VecX& numbers) {
+  Reader reader(numbers);
   std::vector<ImpactBlockRecord> blocks;
   while (!reader.done()) {
     block_fields(reader, blocks.emplace_back());
@@ -485,8 +533,8 @@ std::vector<double> numbers_of(const std::vector<DenseStepRecord>& steps) {
   return std::move(writer.numbers);
 }
 
-std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const double* numbers, std::size_t count) {
-  Reader reader(numbers, count);
+std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const VecX& numbers) {
+  Reader reader(numbers);
   std::vector<DenseStepRecord> steps;
   while (!reader.done()) {
     dense_fields(reader, steps.emplace_back());
@@ -502,14 +550,22 @@ std::vector<double> numbers_of(const std::vector<HeldStepRecord>& steps) {
   return std::move(writer.numbers);
 }
 
-std::vector<HeldStepRecord> held_steps_of(const Scene& scene, const double* numbers, std::size_t count) {
-  Reader reader(numbers, count);
+std::vector<double> law_numbers_of(const std::vector<HeldStepRecord>& steps) {
+  Writer writer;
+  for (const HeldStepRecord& step : steps) held_law_fields(writer, step);
+  return std::move(writer.numbers);
+}
+
+std::vector<HeldStepRecord> held_steps_of(const Scene& scene, const VecX& numbers, const VecX& laws) {
+  Reader reader(numbers), law_reader(laws);
   std::vector<HeldStepRecord> steps;
   while (!reader.done()) {
     held_fields(reader, steps.emplace_back());
-    steps.back().from_file = true;
+    steps.back().lacks_laws = laws.size() == 0;
+    if (laws.size() > 0) held_law_fields(law_reader, steps.back());
     if (!belongs(scene, steps.back())) refuse("numbers of another scene");
   }
+  if (!law_reader.done()) refuse("laws of more contacts");
   return steps;
 }
 

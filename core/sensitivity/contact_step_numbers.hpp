@@ -5,7 +5,6 @@
 // leaves unset, such as the anchor of a contact without one, is zero.
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
 #include "contact/contact_step_record.hpp"
@@ -20,11 +19,15 @@ std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps);
 std::vector<double> numbers_of(const std::vector<ImpactBlockRecord>& blocks);
 std::vector<double> numbers_of(const std::vector<DenseStepRecord>& steps);
 std::vector<double> numbers_of(const std::vector<HeldStepRecord>& steps);
+// What laws of contact beside Coulomb's with one number need, which files of older versions lack.
+std::vector<double> law_numbers_of(const std::vector<ContactStepRecord>& steps);
+std::vector<double> law_numbers_of(const std::vector<HeldStepRecord>& steps);
 
-// All raise a Refusal for numbers that are not those of such records of this scene.
-std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double* numbers, std::size_t count);
-std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double* numbers, std::size_t count);
-std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const double* numbers, std::size_t count);
-std::vector<HeldStepRecord> held_steps_of(const Scene& scene, const double* numbers, std::size_t count);
+// All raise a Refusal for numbers that are not those of such records of this scene. laws: of law_numbers_of; empty: of
+// an older version.
+std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const VecX& numbers, const VecX& laws);
+std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const VecX& numbers);
+std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const VecX& numbers);
+std::vector<HeldStepRecord> held_steps_of(const Scene& scene, const VecX& numbers, const VecX& laws);
 
 }  // namespace contactvi

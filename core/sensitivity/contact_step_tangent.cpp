@@ -41,8 +41,8 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   margin_ = 1.0;
   slip_change_ = 0.0;
   slip_ends_ = false;
-  const auto require = step.from_file ? require_plain_law : require_known_law;
-  for (const auto& c : step.contacts) require(*scene_, c.before.point.guard, step.t);
+  if (step.lacks_laws)
+    for (const auto& c : step.contacts) require_plain_law(*scene_, c.before.point.guard, step.t);
   rows_ = static_cast<int>(step.lambda.size());
   constraints_ = step.constrained ? start_constraints_.rows() : 0;
   twists0_.place(step.q0);
@@ -66,26 +66,29 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   velocity_.w.noalias() = step.W1.transpose() * step.v1;
   velocity_.w += own_end_;
   velocity_.joints.clear();
-  velocity_.contacts.clear();
+  velocity_.open.clear();
+  velocity_.frictions.clear();
   for (std::size_t k = 0; k < step.joints.size(); ++k) {
     const ContactStepRecord::Joint& joint = step.joints[k];
     velocity_.joints.push_back(joint.keeps || joint.slips ? Mode::kKept : Mode::kStick);
   }
+  for (const ContactStepRecord::Contact& c : step.contacts)
+    velocity_.open.push_back(!c.outcome.active || !(step.lambda_end[c.row] > 0.0));
   bool limited = false;
-  for (std::size_t i = 0; i < step.contacts.size(); ++i) {
-    const ContactStepRecord::Contact& c = step.contacts[i];
-    const ContactOutcome& out = c.outcome;
+  for (const Friction& f : frictions_) {
     Mode mode = Mode::kStick;
-    if (!out.active || !(step.lambda_end[c.row] > 0.0)) {
+    if (velocity_.open[f.contact]) {
       mode = Mode::kOpen;
-    } else if (c.before.mu > 0.0 && out.keeps) {
+    } else if (f.keeps) {
       mode = Mode::kKept;
-    } else if (c.before.mu > 0.0 && out.slips) {
-      const bool follows = follows_slip(c, mu_[i], step.lambda_end, velocity_.w.segment<2>(c.row + 1));
+    } else if (f.slips) {
+      const bool follows = follows_slip(f, step.lambda_end, velocity_.w.segment(f.rows.row, f.rows.count));
       if (follows) mode = Mode::kSlip;
-      limited |= !follows;
+      // What ended the step is at its limit there.
+      const bool ends = step.ending == ContactStepEnd::kStick && ended_joint() < 0 && &ended_friction() == &f;
+      limited |= !follows && !ends;
     }
-    velocity_.contacts.push_back(mode);
+    velocity_.frictions.push_back(mode);
   }
   if (limited) meet_limit_of_friction();
   check_laws();
@@ -96,11 +99,43 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
 
 // Whether the friction of a contact in either problem is against its slip. Of a slip that is as small as what the step
 // leaves of its equations it may not be: then the contact is at the limit of its friction, and sticks.
-bool ContactStepTangent::follows_slip(const ContactStepRecord::Contact& c, double mu, const VecX& lambda,
-                                      const Eigen::Vector2d& slip) const {
+bool ContactStepTangent::follows_slip(const Friction& f, const VecX& lambda, const VecX& slip) const {
   if (slip.norm() > kLaw * (1.0 + record_->v.cwiseAbs().maxCoeff())) return true;
-  const double limit = mu * lambda[c.row];
-  return (lambda.segment<2>(c.row + 1) + limit * slip.normalized()).norm() <= kLaw * limit;
+  const double limit = f.mu * lambda[f.normal];
+  return (lambda.segment(f.rows.row, f.rows.count) + limit * slip.normalized()).norm() <= kLaw * limit;
+}
+
+// Of a contact with friction.
+void ContactStepTangent::add_friction(std::size_t i) {
+  const ContactStepRecord::Contact& c = record_->contacts[i];
+  const ContactOutcome& out = c.outcome;
+  const int guard = c.before.point.guard;
+  const ContactLaw* law = scene_->law(guard);
+  for (const FrictionRows& rows : friction_rows(c.row, c.before.rows())) {
+    Friction f{i, rows, c.row, 1.0, 0.0, VecX(rows.count), false, false, false, false, false, false};
+    if (rows.rolls) {
+      f.slip = out.turning_slip.tail<2>();
+      f.slipped = out.rolled;
+      f.slips = out.rolls;
+      f.keeps = out.roll_keeps;
+      f.freed = out.roll_freed;
+      f.turned = out.roll_turned;
+    } else {
+      const double speed = out.slip.norm();
+      f.slip.head<2>() = out.slip;
+      if (rows.count == 3) f.slip[2] = out.turning_slip[0];
+      f.slipped = out.slipped;
+      f.slips = out.slips;
+      f.keeps = out.keeps;
+      f.freed = out.freed;
+      f.turned = out.turned;
+      f.mu = c.before.mu;
+      if (scene_->friction_varies(guard))
+        f.mu = c.before.sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, speed);
+      if (!c.before.sticks && law != nullptr && law->mu.given() && speed > 0.0) f.slope = law->mu.slope(speed);
+    }
+    frictions_.push_back(std::move(f));
+  }
 }
 
 void ContactStepTangent::meet_limit_of_friction() const {
@@ -118,15 +153,14 @@ void ContactStepTangent::take_contacts() {
   }
   start_surfaces_.assign(n, SurfaceVelocityTangent());
   end_surfaces_.assign(n, SurfaceVelocityTangent());
-  mu_.assign(n, 0.0);
-  mu_slope_.assign(n, 0.0);
-  directed_.assign(n, 0);
+  frictions_.clear();
   own_end_.setZero(rows_);
   position_.lambda = s.lambda;
   position_.w.setZero(rows_);
   dn0_.assign(n, Vec3::Zero());
   dt1_.assign(n, Vec3::Zero());
-  position_.contacts.clear();
+  position_.open.clear();
+  position_.frictions.clear();
   position_.joints.clear();
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
     const double bound = 0.5 * s.h * s.joints[k].limit, friction = std::abs(s.lambda[joint_row(k)]);
@@ -134,7 +168,8 @@ void ContactStepTangent::take_contacts() {
     if (bound > 0.0 && !s.joints[k].slipped) margin_ = std::min(margin_, 1.0 - friction / bound);
     position_.joints.push_back(at_bound ? Mode::kKept : Mode::kStick);
   }
-  const double speed = s.v.cwiseAbs().maxCoeff();
+  // A slip that comes to rest in a short step is as short as that.
+  const double speed = s.v.cwiseAbs().maxCoeff() * std::min(1.0, s.h / s.nominal);
   double largest = 0.0;
   for (const ContactStepRecord::Contact& c : s.contacts) largest = std::max(largest, s.lambda[c.row]);
   for (std::size_t i = 0; i < n; ++i) {
@@ -145,33 +180,26 @@ void ContactStepTangent::take_contacts() {
       refuse("witness", guard, "The gap of a persistent contact has no second derivative", "one pair of nearest points",
              why, "Start elsewhere, or round the edges of the shapes");
     }
-    if (c.before.mu > 0.0) {
-      const double speed_of_slip = c.outcome.slip.norm();
-      mu_[i] = c.before.mu;
-      if (scene_->friction_varies(guard))
-        mu_[i] = c.before.sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, speed_of_slip);
-      if (!c.before.sticks && scene_->law(guard) != nullptr && scene_->law(guard)->mu.given() && speed_of_slip > 0.0)
-        mu_slope_[i] = scene_->law(guard)->mu.slope(speed_of_slip);
-      start_surfaces_[i].take(*scene_, guard, start_[i], c.t1_start, s.t);
-      end_surfaces_[i].take(*scene_, guard, end_[i], c.t1_end, s.t + s.h);
-      own_end_.segment<2>(c.row + 1) = end_surfaces_[i].velocity();
-    }
-    const double normal = s.lambda[c.row];
-    if (!(normal > 0.0)) {
-      position_.contacts.push_back(Mode::kOpen);
+    position_.open.push_back(!(s.lambda[c.row] > 0.0));
+    if (c.before.mu == 0.0) continue;
+    add_friction(i);
+    const int count = c.before.rows() - 1;
+    start_surfaces_[i].take(*scene_, guard, start_[i], c.t1_start, s.t);
+    end_surfaces_[i].take(*scene_, guard, end_[i], c.t1_end, s.t + s.h);
+    own_end_.segment(c.row + 1, count) = end_surfaces_[i].velocity();
+  }
+  for (Friction& f : frictions_) {
+    const double normal = s.lambda[f.normal];
+    if (position_.open[f.contact]) {
+      position_.frictions.push_back(Mode::kOpen);
       continue;
     }
-    if (c.before.mu == 0.0) {
-      position_.contacts.push_back(Mode::kStick);
-      continue;
-    }
-    const double limit = mu_[i] * normal, friction = s.lambda.segment<2>(c.row + 1).norm();
-    directed_[i] = c.outcome.slipped && follows_slip(c, mu_[i], s.lambda, c.outcome.slip);
-    position_.contacts.push_back(directed_[i] ? Mode::kSlip : Mode::kStick);
-    if (c.outcome.slipped && !directed_[i]) margin_ = 0.0;
-    position_.w.segment<2>(c.row + 1) = c.outcome.slip;
-    margin_ =
-        std::min(margin_, c.outcome.slipped ? c.outcome.slip.norm() / (speed + 1e-300) : (limit - friction) / largest);
+    const double limit = f.mu * normal, friction = s.lambda.segment(f.rows.row, f.rows.count).norm();
+    f.directed = f.slipped && follows_slip(f, s.lambda, f.slip);
+    position_.frictions.push_back(f.directed ? Mode::kSlip : Mode::kStick);
+    if (f.slipped && !f.directed) margin_ = 0.0;
+    position_.w.segment(f.rows.row, f.rows.count) = f.slip;
+    margin_ = std::min(margin_, f.slipped ? f.slip.norm() / (speed + 1e-300) : (limit - friction) / largest);
   }
   if (margin_ < kOnCone) meet_limit_of_friction();
 }
@@ -200,26 +228,29 @@ void ContactStepTangent::check_laws() {
   const int others = rows_ - constraints_;
   const double impulse =
       std::max(s.lambda.tail(others).lpNorm<Eigen::Infinity>(), s.lambda_end.tail(others).lpNorm<Eigen::Infinity>());
-  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
-    const ContactStepRecord::Contact& c = s.contacts[i];
-    const double mu = mu_[i];
-    double off_impulse = 0.0, off_speed = 0.0;
-    const Mode end = velocity_.contacts[i];
-    if (end != Mode::kOpen) off_speed = std::abs(velocity_.w[c.row]);
-    if (mu > 0.0 && position_.contacts[i] == Mode::kSlip)
-      off_impulse = (s.lambda.segment<2>(c.row + 1) + mu * s.lambda[c.row] * c.outcome.slip.normalized()).norm();
-    if (mu > 0.0 && (end == Mode::kKept || end == Mode::kSlip)) {
-      const Eigen::Vector2d along = slip_of(velocity_, i).normalized();
-      const Eigen::Vector2d off = s.lambda_end.segment<2>(c.row + 1) + mu * s.lambda_end[c.row] * along;
-      off_impulse = std::max(off_impulse, off.norm());
-    } else if (mu > 0.0 && end == Mode::kStick) {
-      off_speed = std::max(off_speed, velocity_.w.segment<2>(c.row + 1).norm());
-      const double inside = mu * s.lambda_end[c.row] - s.lambda_end.segment<2>(c.row + 1).norm();
-      margin_ = std::min(margin_, std::abs(inside) / impulse);
-    }
+  const auto check = [&](int guard, double off_impulse, double off_speed) {
     if (off_impulse > kLaw * impulse || off_speed > kLaw * speed)
-      refuse("contact", c.before.point.guard, "The impulses of a persistent contact do not satisfy one law of friction",
+      refuse("contact", guard, "The impulses of a persistent contact do not satisfy one law of friction",
              "a contact that is open, sticks or slips", "something in between", "Use a smaller dt");
+  };
+  for (std::size_t i = 0; i < s.contacts.size(); ++i)
+    if (!velocity_.open[i]) check(s.contacts[i].before.point.guard, 0.0, std::abs(velocity_.w[s.contacts[i].row]));
+  for (std::size_t k = 0; k < frictions_.size(); ++k) {
+    const Friction& f = frictions_[k];
+    const auto& [row, count, rolls] = f.rows;
+    const VecX friction = s.lambda.segment(row, count), end = s.lambda_end.segment(row, count);
+    double off_impulse = 0.0, off_speed = 0.0;
+    if (position_.frictions[k] == Mode::kSlip)
+      off_impulse = (friction + f.mu * s.lambda[f.normal] * f.slip.normalized()).norm();
+    const Mode mode = velocity_.frictions[k];
+    if (mode == Mode::kKept || mode == Mode::kSlip) {
+      const VecX off = end + f.mu * s.lambda_end[f.normal] * slip_of(velocity_, k).normalized();
+      off_impulse = std::max(off_impulse, off.norm());
+    } else if (mode == Mode::kStick) {
+      off_speed = velocity_.w.segment(row, count).norm();
+      margin_ = std::min(margin_, std::abs(f.mu * s.lambda_end[f.normal] - end.norm()) / impulse);
+    }
+    check(s.contacts[f.contact].before.point.guard, off_impulse, off_speed);
   }
 }
 
@@ -248,12 +279,6 @@ void ContactStepTangent::take_position_problem() {
   check_shared(position_, V_);
 }
 
-// d(s / |s|) / ds.
-Eigen::Matrix2d ContactStepTangent::turn(const Eigen::Vector2d& s) const {
-  const Eigen::Vector2d d = s.normalized();
-  return (Eigen::Matrix2d::Identity() - d * d.transpose()) / s.norm();
-}
-
 // Velocity along the direction of x on the body of the contact's point, less that of x on the body of its plane.
 Vec3 ContactStepTangent::relative(const BodyTwists& twists, int contact, const Vec3& x) const {
   const ContactPoint& p = record_->contacts[contact].before.point;
@@ -273,6 +298,18 @@ Vec3 ContactStepTangent::place_change(int contact, const VecX& dq1) {
          relative(twists1_, contact, place(twists1_, contact));
 }
 
+// What the rows W of the friction of a contact, and the velocities of its surfaces in them, change by where its
+// tangents turn about the normal.
+void ContactStepTangent::turn_tangents(const ContactStepRecord::Contact& c, double about, const MatX& W,
+                                       const VecX& own, MatX& dW, VecX& down) const {
+  for (const FrictionRows& rows : friction_rows(c.row, c.before.rows())) {
+    const int r = rows.row, k = r - c.row - 1;
+    dW.col(r) += about * W.col(r + 1);
+    dW.col(r + 1) -= about * W.col(r);
+    down.segment<2>(r) += about * Eigen::Vector2d(own[k + 1], -own[k]);
+  }
+}
+
 void ContactStepTangent::set_start_rows(const VecX& dq0, double dt) {
   const ContactStepRecord& s = *record_;
   dW0_.setZero();
@@ -289,14 +326,12 @@ void ContactStepTangent::set_start_rows(const VecX& dq0, double dt) {
     dn0_[i] = start_[i].normal_change();
     dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
     if (start_surfaces_[i].moves())
-      down0_.segment<2>(r + 1) = start_surfaces_[i].change(start_[i]) + dt * start_surfaces_[i].rate();
+      down0_.segment(r + 1, c.before.rows() - 1) =
+          start_surfaces_[i].change(start_[i]) + dt * start_surfaces_[i].rate();
     if (c.before.mu == 0.0 || c.before.point.kind != PointKind::kVertex || start_[i].has_axis()) continue;
     const Vec3 t2 = c.start.normal.cross(c.t1_start);
     const double about = t2.dot(twists0_.turn(c.before.point.plane_body).cross(c.t1_start));
-    dW0_.col(r + 1) += about * s.W0.col(r + 2);
-    dW0_.col(r + 2) -= about * s.W0.col(r + 1);
-    const Eigen::Vector2d& own = start_surfaces_[i].velocity();
-    down0_.segment<2>(r + 1) += about * Eigen::Vector2d(own[1], -own[0]);
+    turn_tangents(c, about, s.W0, start_surfaces_[i].velocity(), dW0_, down0_);
   }
 }
 
@@ -315,7 +350,7 @@ void ContactStepTangent::set_end_rows(const VecX& dq1, double dt) {
     const int r = c.row;
     end_[i].change(dq1, c.t1_end, dW1_.middleCols(r, c.before.rows()));
     if (end_surfaces_[i].moves())
-      down1_.segment<2>(r + 1) = end_surfaces_[i].change(end_[i]) + dt * end_surfaces_[i].rate();
+      down1_.segment(r + 1, c.before.rows() - 1) = end_surfaces_[i].change(end_[i]) + dt * end_surfaces_[i].rate();
     if (c.before.mu == 0.0 || end_[i].has_axis()) continue;
     const Vec3 &n0 = c.start.normal, &n1 = c.end.normal, &t = c.t1_start, &dn0 = dn0_[i],
                &dn1 = end_[i].normal_change();
@@ -328,11 +363,7 @@ void ContactStepTangent::set_end_rows(const VecX& dq1, double dt) {
       const double dshare = (dt1_[i].dot(n1) + t.dot(dn1) - share * (dn0.dot(n1) + n0.dot(dn1))) / length;
       dt1 = dt1_[i] - dshare * (n0 + n1) - share * (dn0 + dn1);
     }
-    const double about = n1.cross(c.t1_end).dot(dt1);
-    dW1_.col(r + 1) += about * s.W1.col(r + 2);
-    dW1_.col(r + 2) -= about * s.W1.col(r + 1);
-    const Eigen::Vector2d& own = end_surfaces_[i].velocity();
-    down1_.segment<2>(r + 1) += about * Eigen::Vector2d(own[1], -own[0]);
+    turn_tangents(c, n1.cross(c.t1_end).dot(dt1), s.W1, end_surfaces_[i].velocity(), dW1_, down1_);
   }
 }
 
@@ -367,12 +398,11 @@ void ContactStepTangent::row_changes(const VecX& dq0, const VecX& dq1, const Vec
           (s.W1.col(r).dot(dq1) - part * dgap0 + (shorter ? d.h / s.nominal * c.start.gap : 0.0) - value * d.h) / s.h;
     }
     if (c.before.mu == 0.0) continue;
-    if (!c.before.counts_by_place()) {
-      for (int k = r + 1; k < r + 3; ++k)
-        dy[k] =
-            0.5 * ((dW0_.col(k) + dW1_.col(k)).dot(s.v) + (s.W0.col(k) + s.W1.col(k)).dot(dv) + down0_[k] + down1_[k]);
-      continue;
-    }
+    const bool by_place = c.before.counts_by_place();
+    for (int k = by_place ? r + 3 : r + 1; k < r + c.before.rows(); ++k)
+      dy[k] =
+          0.5 * ((dW0_.col(k) + dW1_.col(k)).dot(s.v) + (s.W0.col(k) + s.W1.col(k)).dot(dv) + down0_[k] + down1_[k]);
+    if (!by_place) continue;
     const Vec3 moved = relative(twists1_, static_cast<int>(i), place(twists1_, static_cast<int>(i)));
     const Vec3 t2 = c.end.normal.cross(c.t1_end);
     const double sign = point.on_b ? 1.0 : -1.0;
@@ -407,22 +437,24 @@ VecX ContactStepTangent::constraint_changes(const VecX& dq0, const VecX& dq1, co
 
 // Along which the friction of a contact acts. Where a slip begins with the end of the step its friction keeps the
 // direction that it had at its limit.
-Eigen::Vector2d ContactStepTangent::slip_of(const Problem& problem, std::size_t i) const {
-  const ContactStepRecord::Contact& c = record_->contacts[i];
-  if (problem.contacts[i] != Mode::kKept) return problem.w.segment<2>(c.row + 1);
-  return directed_[i] ? c.outcome.slip : Eigen::Vector2d(-record_->lambda_end.segment<2>(c.row + 1));
+VecX ContactStepTangent::slip_of(const Problem& problem, std::size_t k) const {
+  const Friction& f = frictions_[k];
+  const auto& [row, count, rolls] = f.rows;
+  if (problem.frictions[k] != Mode::kKept) return problem.w.segment(row, count);
+  return f.directed ? f.slip : VecX(-record_->lambda_end.segment(row, count));
 }
 
 // How that direction changes with the slip that it follows.
-Eigen::Matrix2d ContactStepTangent::turn(const Problem& problem, std::size_t i) const {
-  const bool keeps = problem.contacts[i] == Mode::kKept && !directed_[i];
-  return keeps ? Eigen::Matrix2d(Eigen::Matrix2d::Zero()) : turn(slip_of(problem, i));
+MatX ContactStepTangent::turn(const Problem& problem, std::size_t k) const {
+  const bool keeps = problem.frictions[k] == Mode::kKept && !frictions_[k].directed;
+  const int count = frictions_[k].rows.count;
+  return keeps ? MatX(MatX::Zero(count, count)) : turn_of(slip_of(problem, k));
 }
 
 // What the slip over the step makes of the coefficient of friction along a slip of either problem.
-Eigen::Matrix2d ContactStepTangent::friction_by_slip(const Eigen::Vector2d& slip, std::size_t i) const {
-  if (mu_slope_[i] == 0.0) return Eigen::Matrix2d::Zero();
-  return mu_slope_[i] * slip.normalized() * record_->contacts[i].outcome.slip.normalized().transpose();
+MatX ContactStepTangent::friction_by_slip(const VecX& slip, const Friction& f) const {
+  if (f.slope == 0.0) return MatX::Zero(slip.size(), slip.size());
+  return f.slope * slip.normalized() * f.slip.normalized().transpose();
 }
 
 // The equations for the changes of the impulses. rows: the effect of the impulses on the rows.
@@ -432,18 +464,21 @@ void ContactStepTangent::set_laws(Problem& problem, const MatX& rows) {
   for (std::size_t k = 0; k < s.joints.size(); ++k)
     if (problem.joints[k] == Mode::kKept) A.row(joint_row(k)) = MatX::Identity(rows_, rows_).row(joint_row(k));
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
-    const ContactStepRecord::Contact& c = s.contacts[i];
-    const int r = c.row, count = c.before.rows();
-    const Mode mode = problem.contacts[i];
-    if (mode == Mode::kOpen) A.middleRows(r, count) = MatX::Identity(rows_, rows_).middleRows(r, count);
+    const int r = s.contacts[i].row, count = s.contacts[i].before.rows();
+    if (problem.open[i]) A.middleRows(r, count) = MatX::Identity(rows_, rows_).middleRows(r, count);
+  }
+  for (std::size_t k = 0; k < frictions_.size(); ++k) {
+    const Friction& f = frictions_[k];
+    const auto& [row, count, rolls] = f.rows;
+    const Mode mode = problem.frictions[k];
     if (mode != Mode::kKept && mode != Mode::kSlip) continue;
-    const Eigen::Vector2d slip = slip_of(problem, i);
-    Eigen::Matrix2d by_slip = Eigen::Matrix2d::Zero();
-    if (mode == Mode::kSlip) by_slip = problem.lambda[r] * mu_[i] * turn(slip);
-    if (&problem == &position_) by_slip += problem.lambda[r] * friction_by_slip(slip, i);
-    A.middleRows(r + 1, 2) = by_slip * rows.middleRows(r + 1, 2);
-    A.block<2, 2>(r + 1, r + 1) += Eigen::Matrix2d::Identity();
-    A.block<2, 1>(r + 1, r) += mu_[i] * slip.normalized();
+    const VecX slip = slip_of(problem, k);
+    MatX by_slip = MatX::Zero(count, count);
+    if (mode == Mode::kSlip) by_slip = problem.lambda[f.normal] * f.mu * turn_of(slip);
+    if (&problem == &position_) by_slip += problem.lambda[f.normal] * friction_by_slip(slip, f);
+    A.middleRows(row, count) = by_slip * rows.middleRows(row, count);
+    A.block(row, row, count, count).diagonal().array() += 1.0;
+    A.block(row, f.normal, count, 1) += f.mu * slip.normalized();
   }
   problem.system.compute(A, constraints_);
 }
@@ -471,18 +506,19 @@ VecX ContactStepTangent::law_change(const Problem& problem, const ContactStepDir
   VecX c = base;
   for (std::size_t k = 0; k < s.joints.size(); ++k)
     if (problem.joints[k] == Mode::kKept) c[joint_row(k)] = -problem.lambda[joint_row(k)] * d.h / s.h;
-  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
-    const ContactStepRecord::Contact& contact = s.contacts[i];
-    const int r = contact.row;
-    const Mode mode = problem.contacts[i];
-    if (mode == Mode::kOpen) c.segment(r, contact.before.rows()).setZero();
+  for (std::size_t i = 0; i < s.contacts.size(); ++i)
+    if (problem.open[i]) c.segment(s.contacts[i].row, s.contacts[i].before.rows()).setZero();
+  for (std::size_t k = 0; k < frictions_.size(); ++k) {
+    const Friction& f = frictions_[k];
+    const auto& [row, count, rolls] = f.rows;
+    const Mode mode = problem.frictions[k];
     if (mode != Mode::kKept && mode != Mode::kSlip) continue;
-    const Eigen::Vector2d slip = slip_of(problem, i);
+    const VecX slip = slip_of(problem, k);
     const VecX& change = mode == Mode::kKept ? dy : base;
-    const double dmu = d.mu.size() > 0 ? d.mu[i] : 0.0;
-    c.segment<2>(r + 1) =
-        problem.lambda[r] * (dmu * slip.normalized() + mu_[i] * turn(problem, i) * change.segment<2>(r + 1) +
-                             friction_by_slip(slip, i) * dy.segment<2>(r + 1));
+    const double dmu = d.mu.size() > 0 && !rolls ? d.mu[static_cast<Eigen::Index>(f.contact)] : 0.0;
+    c.segment(row, count) =
+        problem.lambda[f.normal] * (dmu * slip.normalized() + f.mu * turn(problem, k) * change.segment(row, count) +
+                                    friction_by_slip(slip, f) * dy.segment(row, count));
   }
   return c;
 }
@@ -498,13 +534,27 @@ void ContactStepTangent::solve_laws(const Problem& problem, const VecX& c, const
 // there over the step.
 ContactStepTangent::EndedSlip ContactStepTangent::ended_slip() const {
   const ContactStepRecord& s = *record_;
-  const auto count = static_cast<int>(s.contacts.size());
-  if (s.ended >= count) {
-    const ContactStepRecord::Joint& joint = s.joints[static_cast<std::size_t>(s.ended - count)];
-    return {joint.keeps, joint.freed, joint.slipped};
+  if (const int joint = ended_joint(); joint >= 0) {
+    const ContactStepRecord::Joint& of = s.joints[static_cast<std::size_t>(joint)];
+    return {of.keeps, of.freed, of.slipped};
   }
-  const ContactOutcome& out = s.contacts[static_cast<std::size_t>(s.ended)].outcome;
-  return {out.keeps, out.freed, out.slipped && !out.turned};
+  const Friction& f = ended_friction();
+  return {f.keeps, f.freed, f.slipped && !f.turned};
+}
+
+// What ended the step counts after the contacts: joints, then the rolling of contacts.
+int ContactStepTangent::ended_joint() const {
+  const int joint = record_->ended - static_cast<int>(record_->contacts.size());
+  return joint < static_cast<int>(record_->joints.size()) ? joint : -1;
+}
+
+const ContactStepTangent::Friction& ContactStepTangent::ended_friction() const {
+  const ContactStepRecord& s = *record_;
+  const std::size_t ended = static_cast<std::size_t>(s.ended), others = s.contacts.size() + s.joints.size();
+  const bool rolls = ended >= others;
+  for (const Friction& f : frictions_)
+    if (f.rows.rolls == rolls && f.contact == (rolls ? ended - others : ended)) return f;
+  throw Error("a contact step ended with a slip that no contact has");
 }
 
 // The velocity impulse up to the end of the slip that ended the step: with the friction of all contacts that slipped
@@ -512,25 +562,26 @@ ContactStepTangent::EndedSlip ContactStepTangent::ended_slip() const {
 // first have ended. A slip that was at rest already when the step began has no time of its own.
 void ContactStepTangent::take_released_friction() {
   const ContactStepRecord& s = *record_;
-  const auto count = static_cast<int>(s.contacts.size());
-  const int guard = s.ended < count ? s.contacts[s.ended].before.point.guard : -1;
+  const int guard = ended_joint() >= 0 ? -1 : s.contacts[ended_friction().contact].before.point.guard;
   const EndedSlip slip = ended_slip();
   frozen_.joints = velocity_.joints;
-  frozen_.contacts = velocity_.contacts;
+  frozen_.open = velocity_.open;
+  frozen_.frictions = velocity_.frictions;
   bool alone = slip.freed || slip.keeps;
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
     const ContactStepRecord::Joint& joint = s.joints[k];
     alone &= slip.freed || !joint.freed;
     if (joint.slipped && (slip.freed || !joint.freed)) frozen_.joints[k] = Mode::kKept;
   }
-  for (int i = 0; i < count; ++i) {
-    const ContactOutcome& out = s.contacts[i].outcome;
-    alone &= slip.freed || !out.freed;
-    if (frozen_.contacts[i] == Mode::kOpen) continue;
-    if (out.slipped && (slip.freed || !out.freed)) frozen_.contacts[i] = Mode::kKept;
-    alone &= frozen_.contacts[i] != Mode::kSlip;
+  for (std::size_t k = 0; k < frictions_.size(); ++k) {
+    const Friction& f = frictions_[k];
+    alone &= slip.freed || !f.freed;
+    Mode& mode = frozen_.frictions[k];
+    if (mode == Mode::kOpen) continue;
+    if (f.slipped && (slip.freed || !f.freed)) mode = Mode::kKept;
+    alone &= mode != Mode::kSlip;
     // While the impulse is that of the step its slips turn as they do there.
-    if (!slip.keeps && frozen_.contacts[i] == Mode::kSlip) frozen_.contacts[i] = Mode::kKept;
+    if (!slip.keeps && mode == Mode::kSlip) mode = Mode::kKept;
   }
   slip_ends_ = slip.lasts;
   if (!alone || !slip_ends_)
@@ -549,11 +600,10 @@ void ContactStepTangent::take_released_friction() {
   for (std::size_t k = 0; k < s.joints.size(); ++k)
     if (frozen_.joints[k] == Mode::kKept)
       right[joint_row(k)] = std::copysign(0.5 * s.h * s.joints[k].limit, -s.lambda[joint_row(k)]);
-  for (int i = 0; i < count; ++i) {
-    const ContactStepRecord::Contact& c = s.contacts[i];
-    if (frozen_.contacts[i] == Mode::kOpen) right.segment(c.row, c.before.rows()).setZero();
-    if (frozen_.contacts[i] == Mode::kKept) right.segment<2>(c.row + 1).setZero();
-  }
+  for (std::size_t i = 0; i < s.contacts.size(); ++i)
+    if (frozen_.open[i]) right.segment(s.contacts[i].row, s.contacts[i].before.rows()).setZero();
+  for (std::size_t k = 0; k < frictions_.size(); ++k)
+    if (frozen_.frictions[k] == Mode::kKept) right.segment(frictions_[k].rows.row, frictions_[k].rows.count).setZero();
   const VecX size = MinvW_.cwiseAbs().transpose() * s.p_minus.cwiseAbs();
   if (!frozen_.system.solve(right, size, frozen_.lambda))
     refuse("stick", guard, "A slip ends in a way whose time has no derivative that is known",
@@ -614,15 +664,14 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   dq1 = q;
   if (!slip_ends_) return;
   end_change(frozen_, v_frozen_, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
-  const auto count = static_cast<int>(s.contacts.size());
-  if (s.ended >= count) {
-    slip_change_ = dw_[joint_row(s.ended - count)];
+  if (const int joint = ended_joint(); joint >= 0) {
+    slip_change_ = dw_[joint_row(static_cast<std::size_t>(joint))];
     return;
   }
-  const ContactStepRecord::Contact& contact = s.contacts[s.ended];
-  const int r = contact.row;
-  slip_change_ = contact.outcome.slip.normalized().dot(dw_.segment<2>(r + 1)) +
-                 (turn(contact.outcome.slip) * dy_.segment<2>(r + 1)).dot(frozen_.w.segment<2>(r + 1));
+  const Friction& f = ended_friction();
+  const auto& [row, count, rolls] = f.rows;
+  slip_change_ = f.slip.normalized().dot(dw_.segment(row, count)) +
+                 (turn_of(f.slip) * dy_.segment(row, count)).dot(frozen_.w.segment(row, count));
 }
 
 // Of the discrete energy.

@@ -10,7 +10,8 @@
 //
 // Surfaces that move along themselves have velocities of their own in the slips, which change with the configuration
 // and the time. Friction that depends on the speed is that of the slip over the step in both problems,
-// d mu = mu' s . ds / |s|. Adhesion takes from the impulses of the normals half of its own at each end.
+// d mu = mu' s . ds / |s|. Adhesion takes from the impulses of the normals half of its own at each end. Friction
+// against spinning and rolling has rows of its own (friction_rows.hpp), with the same law.
 //
 // Friction and slip are compared in the frames of tangents (n, t1, t2) at both ends. Only how these frames turn against
 // each other matters: t1 at the start turns with its normal by the shortest turn, or with the plane that it is fixed
@@ -21,6 +22,7 @@
 #include "geometry/contact_tangent.hpp"
 #include "geometry/surface_velocity_tangent.hpp"
 #include "model/constraint_tangent.hpp"
+#include "sensitivity/friction_rows.hpp"
 #include "sensitivity/kinks.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/shared_load.hpp"
@@ -66,10 +68,24 @@ class ContactStepTangent {
  private:
   friend class ContactStepAdjoint;                  // its transpose, from the same parts
   enum class Mode { kOpen, kStick, kKept, kSlip };  // kKept: slips along a given direction
-  // Of the position impulse or of the velocity impulse: what the joints and contacts do, the impulses, the speeds of
-  // the rows, and the equations for the changes of the impulses.
+  // The friction of a contact in the step.
+  struct Friction {
+    std::size_t contact;
+    FrictionRows rows;
+    int normal;         // the row of the normal
+    double mu, slope;   // its coefficient, and the derivative of that by the slip over the step
+    VecX slip;          // over the step; 0: it did not slip
+    bool slipped;       // during the step,
+    bool directed;      // with friction against that slip,
+    bool slips, keeps;  // at its end, as of a ContactOutcome
+    bool freed, turned;
+  };
+  // Of the position impulse or of the velocity impulse: what the joints, contacts and their friction do, the impulses,
+  // the speeds of the rows, and the equations for the changes of the impulses.
   struct Problem {
-    std::vector<Mode> joints, contacts;
+    std::vector<Mode> joints;
+    std::vector<char> open;  // contacts
+    std::vector<Mode> frictions;
     VecX lambda, w;
     SharedLoad system;
   };
@@ -85,8 +101,8 @@ class ContactStepTangent {
   void meet(const char* reason, int guard, const std::string& fact, const char* expected, const std::string& got,
             const char* remedy) const;
   double energy_change();
-  bool follows_slip(const ContactStepRecord::Contact& contact, double mu, const VecX& lambda,
-                    const Eigen::Vector2d& slip) const;
+  bool follows_slip(const Friction& friction, const VecX& lambda, const VecX& slip) const;
+  void add_friction(std::size_t contact);
   void meet_limit_of_friction() const;
   void take_contacts();
   void take_laws();
@@ -95,7 +111,11 @@ class ContactStepTangent {
   void check_shared(const Problem& problem, const MatX& effect) const;
   VecX law_change(const Problem& problem, const ContactStepDirection& d, const VecX& base, const VecX& dy) const;
   void solve_laws(const Problem& problem, const VecX& c, const VecX& size, VecX& dlambda) const;
-  Eigen::Vector2d slip_of(const Problem& problem, std::size_t contact) const;
+  VecX slip_of(const Problem& problem, std::size_t friction) const;
+  int ended_joint() const;
+  const Friction& ended_friction() const;
+  void turn_tangents(const ContactStepRecord::Contact& contact, double about, const MatX& W, const VecX& own, MatX& dW,
+                     VecX& down) const;
   EndedSlip ended_slip() const;
   void take_released_friction();
   void check_laws();
@@ -112,9 +132,8 @@ class ContactStepTangent {
   int joint_row(std::size_t k) const { return constraints_ + static_cast<int>(k); }
   Vec3 relative(const BodyTwists& twists, int contact, const Vec3& x) const;
   Vec3 place(const BodyTwists& twists, int contact) const;
-  Eigen::Matrix2d turn(const Eigen::Vector2d& s) const;
-  Eigen::Matrix2d turn(const Problem& problem, std::size_t contact) const;
-  Eigen::Matrix2d friction_by_slip(const Eigen::Vector2d& slip, std::size_t contact) const;
+  MatX turn(const Problem& problem, std::size_t friction) const;
+  MatX friction_by_slip(const VecX& slip, const Friction& friction) const;
 
   const Scene* scene_;
   Kinks* kinks_;
@@ -125,9 +144,7 @@ class ContactStepTangent {
   std::vector<ContactTangent> start_, end_;
   // Of the surfaces of each contact at both ends.
   std::vector<SurfaceVelocityTangent> start_surfaces_, end_surfaces_;
-  // Coefficients of friction in the step, of each contact, and their derivatives by the slip over it.
-  std::vector<double> mu_, mu_slope_;
-  std::vector<char> directed_;                  // which slip over the step, with friction against it
+  std::vector<Friction> frictions_;
   VecX own_end_;                                // velocities that surfaces have of themselves in the rows at the end
   VecX pull_[2], pull_by_t_[2], pull_by_h_[2];  // impulses of adhesion at both ends, by the time and by the length
   ConstraintTangent start_constraints_, end_constraints_;

@@ -24,14 +24,16 @@ void DenseStepAdjoint::fill(Source& source, int dof) {
   const VecX& none = t.none_;
   VecX slip;
   source.W0[dof] = t.dW0_;
+  source.own0.col(dof) = t.down0_;
   for (std::size_t k = 0; k < s.places.size(); ++k) {
     source.gaps[k].col(dof) = t.extra_gaps(s.places[k]);
     if (slips_[k].of_q.size() == 0) continue;
-    t.slip_change(static_cast<int>(k), none, none, slip);
+    t.slip_change(static_cast<int>(k), none, none, 0.0, slip);
     source.slips[k].col(dof) = slip;
   }
   t.set_end_rows(none, 0.0);
   source.W1[dof] = t.dW1_;
+  source.own1.col(dof) = t.down1_;
 }
 
 void DenseStepAdjoint::set_matrices() {
@@ -46,19 +48,22 @@ void DenseStepAdjoint::set_matrices() {
       if (lasting != 0)
         for (MatX* X : {&slips_[round.slips].of_q, &slips_[round.slips].of_v}) X->setZero(t.rows_, n);
   sources_.clear();
-  sources_.push_back({-1, {}, {}, {}, {}});
+  sources_.push_back({-1, {}, {}, {}, {}, {}, {}});
   for (int k = 0; k < static_cast<int>(s.places.size()); ++k)
     for (std::size_t i = 0; i < s.contacts.size(); ++i)
       if (t.is_found_[i] != 0 && s.contacts[i].found == k) {
-        sources_.push_back({k, {}, {}, {}, {}});
+        sources_.push_back({k, {}, {}, {}, {}, {}, {}});
         break;
       }
   W1_of_q1_.assign(static_cast<std::size_t>(n), MatX());
+  own1_of_q1_.setZero(t.rows_, n);
   for (Source& source : sources_) {
     source.W0.resize(static_cast<std::size_t>(n));
     source.W1.resize(static_cast<std::size_t>(n));
     source.gaps.assign(s.places.size(), MatX::Zero(t.rows_, n));
     source.slips = source.gaps;
+    source.own0.setZero(t.rows_, n);
+    source.own1.setZero(t.rows_, n);
     for (int d = 0; d < n; ++d) {
       unit[d] = 1.0;
       t.clear_law_changes();
@@ -74,11 +79,12 @@ void DenseStepAdjoint::set_matrices() {
     unit[d] = 1.0;
     t.set_end_rows(unit, 0.0);
     W1_of_q1_[d] = t.dW1_;
+    own1_of_q1_.col(d) = t.down1_;
     for (std::size_t k = 0; k < s.places.size(); ++k) {
       if (slips_[k].of_q.size() == 0) continue;
-      t.slip_change(static_cast<int>(k), unit, none, slip);
+      t.slip_change(static_cast<int>(k), unit, none, 0.0, slip);
       slips_[k].of_q.col(d) = slip;
-      t.slip_change(static_cast<int>(k), none, unit, slip);
+      t.slip_change(static_cast<int>(k), none, unit, 0.0, slip);
       slips_[k].of_v.col(d) = slip;
     }
     unit[d] = 0.0;
@@ -117,6 +123,42 @@ void DenseStepAdjoint::pass_slips(int place, const VecX& lslips) {
   places_[place].q += slips_[place].of_q.transpose() * lslips;
   places_[place].v += slips_[place].of_v.transpose() * lslips;
   for (const Source& source : sources_) of(source) += source.slips[place].transpose() * lslips;
+  const double later = 0.5 * tangent_.slip_own_rate_[place].dot(lslips);
+  lt_ += later - 0.5 * tangent_.own0_rate_.dot(lslips);
+  lh_ += later;
+}
+
+// The transpose of DenseStepTangent::coefficient_changes(). Adds to the gradients in the rows at the start and in the
+// velocities of surfaces there.
+void DenseStepAdjoint::pass_coefficients(const VecX& lmu, const VecX& le, MatX& lW0, VecX& lown0) {
+  const DenseStepTangent& t = tangent_;
+  const DenseStepRecord& s = *record_;
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const auto k = static_cast<Eigen::Index>(i);
+    const DenseStepTangent::Coefficients& c = t.coefficients_[i];
+    const int r = s.contacts[i].row;
+    if (c.own_mu) lmu_[k] += lmu[k];
+    if (c.own_e) le_[k] += le[k];
+    if (c.e_by_closing != 0.0) {
+      const double l = c.e_by_closing * le[k];
+      lW0.col(r) += l * t.v0_;
+      lv0_ += l * s.W0.col(r);
+    }
+    if (c.mu_by_slip.isZero(0.0)) continue;
+    const Eigen::Vector2d l = lmu[k] * c.mu_by_slip;
+    lW0.middleCols<2>(r + 1) += t.v0_ * l.transpose();
+    lv0_ += s.W0.middleCols<2>(r + 1) * l;
+    lown0.segment<2>(r + 1) += l;
+  }
+}
+
+// Gradients in the changes of the velocities of surfaces at the start and the end.
+void DenseStepAdjoint::pass_own(const VecX& lown0, const VecX& lown1) {
+  for (const Source& source : sources_) of(source) += source.own0.transpose() * lown0 + source.own1.transpose() * lown1;
+  places_.back().q += own1_of_q1_.transpose() * lown1;
+  const double later = tangent_.own1_rate_.dot(lown1);
+  lt_ += tangent_.own0_rate_.dot(lown0) + later;
+  lh_ += later;
 }
 
 // The transpose of DenseStepTangent::end_base().
@@ -125,6 +167,7 @@ void DenseStepAdjoint::pass_end_base(const DenseStepTangent::End& end, const Vec
   const VecX m = tangent_.MinvW_ * lbase;
   lp_minus_ += m;
   lW1_ += m * end.lambda.transpose() + end.v * lbase.transpose();
+  lown1_ += lbase;
   VecX lq(m.size());
   adjoint_.momentum(q1, end.v, -m, lq, work_);
   places_.back().q += lq;
@@ -141,7 +184,9 @@ void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& 
   const DenseStepTangent& t = tangent_;
   const DenseStepRecord& s = *record_;
   DenseStepAdjoint::Change& end = places_.back();
-  VecX lp1 = lp, lbase, lknown, lmu;
+  VecX lp1 = lp, lbase, lknown, lmu, lmus = VecX::Zero(lmu_.size()), les = lmus, lown0 = VecX::Zero(t.rows_);
+  MatX lW0 = MatX::Zero(lq.size(), t.rows_);
+  lown1_ = lown0;
   end.q += lq;
   const bool expands = s.expansion.size() > 0;
   if (expands && s.expanded < 1.0) {
@@ -158,7 +203,7 @@ void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& 
   VecX lplastic = s.W1.transpose() * lp1;
   if (expands) {
     t.expansion_.laws.solve_transposed(s.expanded * lplastic, lbase, lknown, lmu);
-    lmu_ += lmu;
+    lmus += lmu;
     for (std::size_t j = 0; j < s.joints.size(); ++j) {
       const Eigen::Index r = s.row_of(j);
       lh_ += 0.5 * s.joints[j].limit * lknown[r];
@@ -169,17 +214,19 @@ void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& 
       if (!c.expands) continue;
       end.lambda[c.row] += c.restitution * lknown[c.row];
       lplastic[c.row] += c.restitution * lknown[c.row];
-      le_[static_cast<Eigen::Index>(i)] += (s.lambda[c.row] + s.plastic[c.row]) * lknown[c.row];
+      les[static_cast<Eigen::Index>(i)] += (s.lambda[c.row] + s.plastic[c.row]) * lknown[c.row];
     }
     lplastic += t.G_.transpose() * lbase;
     pass_end_base(t.expansion_, lbase, sums);
   }
   t.plastic_.laws.solve_transposed(lplastic, lbase, lknown, lmu);
-  lmu_ += lmu;
+  lmus += lmu;
   for (std::size_t j = 0; j < s.joints.size(); ++j) lh_ += 0.5 * s.joints[j].limit * lknown[s.row_of(j)];
   pass_end_base(t.plastic_, lbase, sums);
   for (Eigen::Index d = 0; d < lq.size(); ++d) end.q[d] += W1_of_q1_[d].cwiseProduct(lW1_).sum();
-  pass_rows(MatX(), lW1_);
+  pass_coefficients(lmus, les, lW0, lown0);
+  pass_rows(lW0, lW1_);
+  pass_own(lown0, lown1_);
 }
 
 // The smooth step from p_start to a place: lq, lv, lp in its end, the velocity and the momentum there.
@@ -246,7 +293,9 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
   VecX lp_start;
   if (!pass_step(s.p0 + s.W0 * round.lambda, to, lq, next.v, lp, lp_start, sums)) return false;
   MatX lW0 = lp_start * round.lambda.transpose();
+  VecX lown0 = VecX::Zero(t.rows_);
   if (t.has_friction_) {
+    VecX lmus = VecX::Zero(lmu_.size());
     const std::vector<DenseLaws::Contact>& gaps = round.gaps.contacts();
     for (std::size_t i = 0; i < gaps.size(); ++i) {
       const DenseLaws::Contact& c = gaps[i];
@@ -257,12 +306,13 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
       const double size = along.norm();
       if (!(size > 0.0)) continue;
       lknown.segment<2>(c.row + 1) += low / (size * c.mu) * along;
-      lmu_[static_cast<Eigen::Index>(i)] -= size / (c.mu * c.mu) * low;
+      lmus[static_cast<Eigen::Index>(i)] -= size / (c.mu * c.mu) * low;
     }
     // The law.
     const VecX llaw = lknown;
     round.law.solve_transposed(llaw, lbase, lknown, lmu);
-    lmu_ += lmu;
+    pass_coefficients(lmus + lmu, VecX::Zero(lmu_.size()), lW0, lown0);
+    lown0 += lbase;
     for (std::size_t j = 0; j < s.joints.size(); ++j) lh_ += 0.5 * s.joints[j].limit * lknown[s.row_of(j)];
     lW0 += r.v * lbase.transpose();
     VecX lgaps = VecX::Zero(t.rows_), lslips = lgaps;
@@ -295,6 +345,7 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
     pass_masses(round, r.v - from.v, -lforce, sums);
   }
   pass_rows(lW0, MatX());
+  pass_own(lown0, VecX::Zero(t.rows_));
   return true;
 }
 

@@ -35,6 +35,7 @@ class DenseStepAdjoint {
     int place;                      // -1: the start
     std::vector<MatX> W0, W1;       // per degree of freedom, (nv, rows)
     std::vector<MatX> gaps, slips;  // per place, (rows, nv)
+    MatX own0, own1;                // of the velocities of surfaces at both ends, (rows, nv)
   };
   // Per place: how its slips change with its end and its velocity, (rows, nv).
   struct Slips {
@@ -50,6 +51,8 @@ class DenseStepAdjoint {
   void pass_gaps(int place, const VecX& lgaps);
   void pass_end_times(std::size_t place, const VecX& lrows);
   void pass_slips(int place, const VecX& lslips);
+  void pass_coefficients(const VecX& lmu, const VecX& le, MatX& lW0, VecX& lown0);
+  void pass_own(const VecX& lown0, const VecX& lown1);
   VecX& of(const Source& source) { return source.place < 0 ? lq0_ : places_[source.place].q; }
   void pass_end(const VecX& lq, const VecX& lp, StepParameters& sums);
   void pass_end_base(const DenseStepTangent::End& end, const VecX& lbase, StepParameters& sums);
@@ -68,11 +71,13 @@ class DenseStepAdjoint {
   std::vector<Source> sources_;
   std::vector<Slips> slips_;
   std::vector<MatX> W1_of_q1_;
+  MatX own1_of_q1_;
   // Gradients on the way.
   std::vector<Change> places_;
   VecX lq0_, lp0_, lv0_, lp_minus_, ltau_, lmu_, le_, lallowed_, work_;
   double lt_ = 0.0, lh_ = 0.0;
   MatX lW1_;
+  VecX lown1_;
 };
 
 }  // namespace contactvi

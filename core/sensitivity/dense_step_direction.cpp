@@ -16,18 +16,23 @@ constexpr double kOneMatrix = 1e-7;
 void DenseStepTangent::set_start_rows(const VecX& dq0, double dt) {
   const DenseStepRecord& s = *record_;
   dW0_.setZero();
+  down0_.setZero();
   if (constraints_ > 0) start_constraints_.change(dq0, dt, dW0_.leftCols(constraints_));
   twists_.place(s.q0);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
     auto dW = dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
-    start_[i].change(dq0, c.t1_start, dW);
-    dn0_[i] = start_[i].normal_change();
+    auto& [contact, surface] = start_[i];
+    contact.change(dq0, c.t1_start, dW);
+    dn0_[i] = contact.normal_change();
+    if (surface.moves()) down0_.segment<2>(c.row + 1) = surface.change(contact) + dt * surface.rate();
     if (is_found_[i] != 0 && c.found < 0) {
       twists_.move(dq0);
       set_law_change(i, c.start, dq0);
       twists_.move(none_);
-      dn0_[i] += extra(i, c.start, c.t1_start, dW).normal;
+      const Extra more = extra(i, start_[i], c.start, c.t1_start, dW);
+      dn0_[i] += more.normal;
+      if (c.mu > 0.0) down0_.segment<2>(c.row + 1) += more.own;
     }
     dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
   }
@@ -45,7 +50,9 @@ void DenseStepTangent::add_found_rows(int place, const VecX& dq) {
     twists_.place(s.q0);
     twists_.move(none_);
     auto dW = dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
-    dn0_[i] += extra(i, c.start, c.t1_start, dW).normal;
+    const Extra more = extra(i, start_[i], c.start, c.t1_start, dW);
+    dn0_[i] += more.normal;
+    if (c.mu > 0.0) down0_.segment<2>(c.row + 1) += more.own;
     dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
   }
 }
@@ -98,16 +105,20 @@ VecX DenseStepTangent::extra_gaps(const DenseStepRecord::Place& place) {
   return gaps;
 }
 
-DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Contact& at, const Vec3& t1, Eigen::Ref<MatX> dW) {
+DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Site& site, const Contact& at, const Vec3& t1,
+                                                Eigen::Ref<MatX> dW) {
   const ContactPoint& law = record_->contacts[i].law;
-  const Extra found = extra_gap(i, at);
-  const Vec3 &n = at.normal, &dn = found.normal;
+  Extra found = extra_gap(i, at);
+  const Vec3 &n = at.normal, &dn = found.normal, t2 = n.cross(t1);
   const Vec3 outward = law.on_b ? n : Vec3(-n), turned = law.on_b ? dn : Vec3(-dn);
   const Vec3 moved = pose_of(law.point_body, twists_.placements()).R * law_change_[i].center - law.radius * turned;
   const Vec3 across = moved - found.gap * outward - at.gap * turned;
   const Vec3 &dx_a = law.on_b ? across : moved, &dx_b = law.on_b ? moved : across;
-  const Vec3 none = Vec3::Zero(), dt1 = -dn.dot(t1) * n;
-  const Vec3 rows[3] = {n, t1, n.cross(t1)}, changes[3] = {dn, dt1, dn.cross(t1)};
+  const double about = site.contact.turn_by_normal(t1, dn);
+  const Eigen::Vector2d shares = site.contact.shares();
+  const Vec3 none = Vec3::Zero(), dt[2] = {about * t2 - dn.dot(t1) * n, dn.cross(t1) - about * t1};
+  const Vec3 rows[3] = {n, shares[0] * t1, shares[1] * t2}, changes[3] = {dn, shares[0] * dt[0], shares[1] * dt[1]};
+  if (site.surface.moves()) found.own = site.surface.change(twists_, {dx_a, dx_b}, dt, dn);
   for (int k = 0; k < static_cast<int>(dW.cols()); ++k) {
     twists_.add_wrench(at.body_b, at.point_b, dx_b, rows[k], changes[k], none, none, dW.col(k));
     twists_.add_wrench(at.body_a, at.point_a, dx_a, -rows[k], -changes[k], none, none, dW.col(k));
@@ -118,6 +129,7 @@ DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Contact& at
 void DenseStepTangent::set_end_rows(const VecX& dq1, double dt) {
   const DenseStepRecord& s = *record_;
   dW1_.setZero();
+  down1_.setZero();
   if (constraints_ > 0) end_constraints_.change(dq1, dt, dW1_.leftCols(constraints_));
   twists_.place(s.places.back().q);
   twists_.move(none_);
@@ -125,14 +137,18 @@ void DenseStepTangent::set_end_rows(const VecX& dq1, double dt) {
     const DenseStepRecord::Contact& c = s.contacts[i];
     if (!c.closed) continue;
     auto dW = dW1_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
-    end_[i].change(dq1, c.t1_end, dW);
-    if (is_found_[i] != 0) extra(i, c.end, c.t1_end, dW);
+    auto& [contact, surface] = end_[i];
+    contact.change(dq1, c.t1_end, dW);
+    if (surface.moves()) down1_.segment<2>(c.row + 1) = surface.change(contact) + dt * surface.rate();
+    if (is_found_[i] == 0) continue;
+    const Extra more = extra(i, end_[i], c.end, c.t1_end, dW);
+    if (c.mu > 0.0) down1_.segment<2>(c.row + 1) += more.own;
   }
 }
 
 // Of the slips of lasting contacts, half the difference between both ends, at a place that changes so; after
-// set_start_rows.
-void DenseStepTangent::slip_change(int k, const VecX& dq, const VecX& dv, VecX& dslip) {
+// set_start_rows. dt_end: of the time at the end.
+void DenseStepTangent::slip_change(int k, const VecX& dq, const VecX& dv, double dt_end, VecX& dslip) {
   const DenseStepRecord& s = *record_;
   const DenseStepRecord::Place& place = s.places[k];
   MatX dW(scene_->tree.nv, 3);
@@ -142,22 +158,65 @@ void DenseStepTangent::slip_change(int k, const VecX& dq, const VecX& dv, VecX& 
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
     if (c.mu == 0.0) continue;
-    slip_[k][i].change(dq, place.t1[i], dW);
+    auto& [contact, surface] = slip_[k][i];
+    contact.change(dq, place.t1[i], dW);
     const Vec3 &n0 = c.start.normal, &n1 = place.end[i].normal, &t = c.t1_start, &dn0 = dn0_[i];
-    Vec3 dn1 = slip_[k][i].normal_change();
-    if (is_found_[i] != 0) dn1 += extra(i, place.end[i], place.t1[i], dW).normal;
+    Vec3 dn1 = contact.normal_change();
+    Eigen::Vector2d down = Eigen::Vector2d::Zero();
+    if (surface.moves()) down = surface.change(contact) + dt_end * surface.rate();
+    if (is_found_[i] != 0) {
+      const Extra more = extra(i, slip_[k][i], place.end[i], place.t1[i], dW);
+      dn1 += more.normal;
+      down += more.own;
+    }
     // t1 = t - (t.n1) / (1 + n0.n1) (n0 + n1), the shortest turn.
     const double length = 1.0 + n0.dot(n1), share = t.dot(n1) / length;
     const double dshare = (dt1_[i].dot(n1) + t.dot(dn1) - share * (dn0.dot(n1) + n0.dot(dn1))) / length;
     const Vec3 dt1 = dt1_[i] - dshare * (n0 + n1) - share * (dn0 + dn1);
-    const double about = n1.cross(place.t1[i]).dot(dt1);
+    const double about = contact.has_axis() ? 0.0 : n1.cross(place.t1[i]).dot(dt1);
     const int r = c.row;
+    down += about * Eigen::Vector2d(slip_own_[k][r + 2], -slip_own_[k][r + 1]);
     dW.col(1) += about * place.W.col(r + 2);
     dW.col(2) -= about * place.W.col(r + 1);
     for (int j = 1; j < 3; ++j)
-      dslip[r + j] =
-          0.5 * ((dW.col(j) - dW0_.col(r + j)).dot(place.v) + (place.W.col(r + j) - s.W0.col(r + j)).dot(dv));
+      dslip[r + j] = 0.5 * ((dW.col(j) - dW0_.col(r + j)).dot(place.v) +
+                            (place.W.col(r + j) - s.W0.col(r + j)).dot(dv) + down[j - 1] - down0_[r + j]);
   }
+}
+
+// After set_start_rows and, of the points that they belong to, add_found_rows.
+void DenseStepTangent::coefficient_changes(const DenseStepDirection& d) {
+  const DenseStepRecord& s = *record_;
+  const auto contacts = static_cast<Eigen::Index>(s.contacts.size());
+  dmu_.setZero(contacts);
+  de_.setZero(contacts);
+  for (Eigen::Index i = 0; i < contacts; ++i) {
+    const Coefficients& c = coefficients_[static_cast<std::size_t>(i)];
+    const int r = s.contacts[static_cast<std::size_t>(i)].row;
+    if (c.own_mu && d.mu.size() > 0) dmu_[i] = d.mu[i];
+    if (c.own_e && d.e.size() > 0) de_[i] = d.e[i];
+    if (c.e_by_closing != 0.0) de_[i] += c.e_by_closing * (dW0_.col(r).dot(v0_) + s.W0.col(r).dot(dv0_));
+    if (c.mu_by_slip.isZero(0.0) && std::isinf(c.without_rest)) continue;
+    const Eigen::Vector2d dslip = dW0_.middleCols<2>(r + 1).transpose() * v0_ +
+                                  s.W0.middleCols<2>(r + 1).transpose() * dv0_ + down0_.segment<2>(r + 1);
+    dmu_[i] += c.mu_by_slip.dot(dslip);
+    if (!std::isinf(c.without_rest)) check_rest(d, static_cast<std::size_t>(i), dslip);
+  }
+}
+
+// Where a direction moves a contact at the start of the step that holds by its friction of rest alone, that is gone.
+void DenseStepTangent::check_rest(const DenseStepDirection& d, std::size_t i, const Eigen::Vector2d& slip_change) {
+  const DenseStepRecord& s = *record_;
+  const int r = s.contacts[i].row;
+  const double change = dv0_.cwiseAbs().maxCoeff() + d.size_q * v0_.cwiseAbs().maxCoeff();
+  if (!(slip_change.norm() > kShared * change * s.W0.middleCols<2>(r + 1).cwiseAbs().maxCoeff())) return;
+  const double mu = coefficients_[i].without_rest;
+  const auto holds = [&](const VecX& lambda) {
+    return lambda.segment<2>(r + 1).norm() > mu * lambda[r] * (1.0 + kOnCone);
+  };
+  bool any = holds(s.plastic);
+  for (const DenseStepRecord::Round& round : s.rounds) any |= holds(round.lambda);
+  if (any) approximate("friction of rest that a direction takes away");
 }
 
 // dD u of a round.
@@ -235,7 +294,7 @@ void DenseStepTangent::check_held_gaps(const Round& round, const DenseStepDirect
     const Eigen::Vector2d t = round.lambda.segment<2>(c.row + 1);
     const double friction = t.norm(), normal = round.lambda[c.row];
     if (!(friction > 0.0) || normal - friction / c.mu > kOnCone * normal) continue;
-    const double dmu = d.mu.size() > 0 ? d.mu[static_cast<Eigen::Index>(i)] : 0.0;
+    const double dmu = dmu_[static_cast<Eigen::Index>(i)];
     const double low = t.dot(dlaw.segment<2>(c.row + 1)) / (friction * c.mu) - friction / (c.mu * c.mu) * dmu;
     apart[c.row] = dlambda[c.row] - low;
     // What rounding of the speeds of the gap moves.
@@ -285,6 +344,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   Round& round = rounds_[k];
   const DenseStepRecord::Place& about = s.places[r.about];
   add_found_rows(r.about, places_[r.about].q);
+  coefficient_changes(d);
   const Change &about_change = places_[r.about], &from_change = places_[r.anew ? 0 : r.about];
   const VecX none = VecX::Zero(rows_);
   const VecX& from_lambda = r.anew ? none : about.lambda;
@@ -297,14 +357,14 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
     VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
     project_rows(scene_->tree, force);
     const VecX dv = from_change.v + D_.solve(force);
-    base = dW0_.transpose() * r.v + s.W0.transpose() * dv;
+    base = dW0_.transpose() * r.v + s.W0.transpose() * dv + down0_;
     base += extra_gaps(about) / s.h;
     if (constraints_ > 0)
       base.head(constraints_) -=
           dW0_.leftCols(constraints_).transpose() * from_v + s.W0.leftCols(constraints_).transpose() * from_change.v;
     bool lasting = false;
     for (char c : r.lasting) lasting |= c != 0;
-    if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, dslip);
+    if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, d.t + d.h, dslip);
     for (std::size_t i = 0; i < s.contacts.size(); ++i) {
       const DenseStepRecord::Contact& c = s.contacts[i];
       const int n = c.row;
@@ -314,12 +374,12 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
       if (r.lasting[i] != 0) base.segment<2>(n + 1) += dslip.segment<2>(n + 1);
     }
     for (std::size_t j = 0; j < s.joints.size(); ++j) known[s.row_of(j)] = 0.5 * s.joints[j].limit * d.h;
-    solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
+    solve_laws(round.law, base, known, dmu_, sizes(d), dlambda);
   }
   // The gap iterations.
   Change& next = places_[k + 1];
   known = dlambda;
-  low_changes(round, d.mu, known);
+  low_changes(round, dmu_, known);
   StepDirection direction;
   direction.q = dq0;
   direction.p = dW0_ * round.lambda;
@@ -354,7 +414,7 @@ VecX DenseStepTangent::end_base(const End& end, const DenseStepDirection& d, con
   if (d.parameters != nullptr) free_.add_momentum(q1, end.v, *d.parameters, work_);
   VecX dv = force - work_;
   masses_.solve_mass(dv);
-  VecX base = dW1_.transpose() * end.v + record_->W1.transpose() * dv;
+  VecX base = dW1_.transpose() * end.v + record_->W1.transpose() * dv + down1_;
   if (constraints_ > 0) base.head(constraints_) += end_constraints_.rate_change(dq1, d.t + d.h);
   return base;
 }
@@ -378,7 +438,7 @@ void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1
   masses_.place_node(s.places.back().q);
   VecX force, known = VecX::Zero(rows_), dplastic, dexpansion, total = s.plastic;
   for (std::size_t j = 0; j < s.joints.size(); ++j) known[s.row_of(j)] = 0.5 * s.joints[j].limit * d.h;
-  solve_laws(plastic_.laws, end_base(plastic_, d, end.q, dp_, force), known, d.mu, sizes(d), dplastic);
+  solve_laws(plastic_.laws, end_base(plastic_, d, end.q, dp_, force), known, dmu_, sizes(d), dplastic);
   VecX dtotal = dplastic;
   double dshare = 0.0;
   if (s.expansion.size() > 0) {
@@ -389,11 +449,11 @@ void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1
     for (std::size_t i = 0; i < s.contacts.size(); ++i) {
       const DenseStepRecord::Contact& c = s.contacts[i];
       if (!c.expands) continue;
-      const double de = d.e.size() > 0 ? d.e[static_cast<Eigen::Index>(i)] : 0.0;
+      const double de = de_[static_cast<Eigen::Index>(i)];
       known[c.row] = c.restitution * (end.lambda[c.row] + dplastic[c.row]) + de * (s.lambda[c.row] + s.plastic[c.row]);
     }
     VecX base = end_base(expansion_, d, end.q, dp_, force) + G_ * dplastic;
-    solve_laws(expansion_.laws, base, known, d.mu, sizes(d), dexpansion);
+    solve_laws(expansion_.laws, base, known, dmu_, sizes(d), dexpansion);
     dtotal += s.expanded * dexpansion;
     total += s.expanded * s.expansion;
   }

@@ -27,6 +27,7 @@ DenseStepTangent::DenseStepTangent(const Scene& scene, Kinks& kinks)
       start_constraints_(scene.tree),
       end_constraints_(scene.tree),
       twists_(scene.tree),
+      guards_(scene),
       v0_(scene.tree.nv),
       q_stage_(scene.tree.nq),
       none_(VecX::Zero(scene.tree.nv)),
@@ -48,7 +49,6 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   record_ = &step;
   margin_ = 1.0;
   error_ = 0.0;
-  for (const auto& c : step.contacts) require_plain_law(*scene_, c.point.guard, step.t);
   approximate_ = "";
   rows_ = static_cast<int>(step.lambda.size());
   constraints_ = step.constraints;
@@ -56,6 +56,7 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   for (const DenseStepRecord::Contact& c : step.contacts) has_friction_ |= c.mu > 0.0;
   take_geometry();
   take_masses(tau, servo);
+  take_coefficients();
   take_free(tau, servo);
   while (rounds_.size() < step.rounds.size()) rounds_.emplace_back(scene_->tree);
   set_scale();
@@ -77,7 +78,8 @@ void DenseStepTangent::set_scale() {
   scale_.impulse =
       std::max(s.lambda.tail(others).lpNorm<Eigen::Infinity>(), s.plastic.tail(others).lpNorm<Eigen::Infinity>());
   const auto W = s.W0.rightCols(others).transpose();
-  scale_.speed = std::max((W * v0_).lpNorm<Eigen::Infinity>(), (W * free.v).lpNorm<Eigen::Infinity>());
+  const auto own = own0_.tail(others);
+  scale_.speed = std::max((W * v0_ + own).lpNorm<Eigen::Infinity>(), (W * free.v + own).lpNorm<Eigen::Infinity>());
   for (std::size_t i = 0; i < s.contacts.size(); ++i)
     scale_.speed = std::max(scale_.speed, std::abs(free.end[i].gap - s.contacts[i].allowed) / s.h);
 }
@@ -85,24 +87,27 @@ void DenseStepTangent::set_scale() {
 // The geometry of the contacts at the start, at the places with which slips are made, and at the end.
 void DenseStepTangent::take_geometry() {
   const DenseStepRecord& s = *record_;
-  const std::size_t n = s.contacts.size();
-  const auto take = [&](std::vector<ContactTangent>& tangents, const VecX& q, const auto& contact_at) {
-    while (tangents.size() < n) tangents.emplace_back(*scene_);
-    for (std::size_t i = 0; i < n; ++i) {
-      const DenseStepRecord::Contact& c = s.contacts[i];
-      if (tangents[i].take(q, c.point.guard, contact_at(i), &c.law)) continue;
-      refuse("witness", c.point.guard, "The gap of a contact has no second derivative", "one pair of nearest points",
-             tangents[i].why(), "Start elsewhere, or round the edges of the shapes");
-    }
-  };
-  take(start_, s.q0, [&](std::size_t i) { return s.contacts[i].start; });
-  take(end_, s.places.back().q, [&](std::size_t i) { return s.contacts[i].end; });
-  if (slip_.size() < s.places.size()) slip_.resize(s.places.size());
-  std::vector<char> wanted(s.places.size(), 0);
+  const std::size_t n = s.contacts.size(), places = s.places.size();
+  std::vector<Contact> start, end;
+  std::vector<Vec3> t1_start, t1_end;
+  for (const DenseStepRecord::Contact& c : s.contacts) {
+    start.push_back(c.start);
+    end.push_back(c.end);
+    t1_start.push_back(c.t1_start);
+    t1_end.push_back(c.t1_end);
+  }
+  take_sites(start_, s.q0, s.t, start, t1_start, own0_, own0_rate_);
+  take_sites(end_, s.places.back().q, s.t + s.h, end, t1_end, own1_, own1_rate_);
+  if (slip_.size() < places) slip_.resize(places);
+  slip_own_.assign(places, VecX::Zero(rows_));
+  slip_own_rate_ = slip_own_;
+  std::vector<char> wanted(places, 0);
   for (const DenseStepRecord::Round& round : s.rounds)
     for (char lasting : round.lasting) wanted[round.slips] |= lasting;
-  for (std::size_t k = 0; k < wanted.size(); ++k)
-    if (wanted[k] != 0) take(slip_[k], s.places[k].q, [&](std::size_t i) { return s.places[k].end[i]; });
+  for (std::size_t k = 0; k < wanted.size(); ++k) {
+    const DenseStepRecord::Place& place = s.places[k];
+    if (wanted[k] != 0) take_sites(slip_[k], place.q, s.t + s.h, place.end, place.t1, slip_own_[k], slip_own_rate_[k]);
+  }
   is_found_.assign(n, 0);
   clear_law_changes();
   while (found_.size() < n) found_.emplace_back(*scene_);
@@ -120,12 +125,74 @@ void DenseStepTangent::take_geometry() {
   dt1_.assign(n, Vec3::Zero());
   dW0_.setZero(scene_->tree.nv, rows_);
   dW1_.setZero(scene_->tree.nv, rows_);
+  down0_.setZero(rows_);
+  down1_.setZero(rows_);
   if (constraints_ == 0) return;
   start_constraints_.take(s.q0, s.t);
   end_rates_.clear();
   for (const DenseStepRecord::Place& place : s.places) {
     end_constraints_.take(place.q, s.t + s.h);
     end_rates_.push_back(end_constraints_.rates());
+  }
+}
+
+// The contacts at the end q of a motion or its start, at the time t. own: as own0_.
+void DenseStepTangent::take_sites(std::vector<Site>& sites, const VecX& q, double t, const std::vector<Contact>& at,
+                                  const std::vector<Vec3>& t1, VecX& own, VecX& rate) {
+  const DenseStepRecord& s = *record_;
+  while (sites.size() < at.size()) sites.emplace_back(*scene_);
+  own.setZero(rows_);
+  rate.setZero(rows_);
+  bool placed = false;
+  for (std::size_t i = 0; i < at.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    const int guard = c.point.guard;
+    auto& [contact, surface] = sites[i];
+    if (!contact.take(q, guard, at[i], &c.law))
+      refuse("witness", guard, "The gap of a contact has no second derivative", "one pair of nearest points",
+             contact.why(), "Start elsewhere, or round the edges of the shapes");
+    surface = SurfaceVelocityTangent();
+    if (c.mu == 0.0) continue;
+    if (contact.has_axis()) {
+      if (!placed) guards_.place(q);
+      placed = true;
+      // Files of older versions have other tangents at places within a step.
+      if ((t1[i] - guards_.tangent(guard, at[i].normal)).norm() > kOnCone) require_plain_law(*scene_, guard, s.t);
+    }
+    surface.take(*scene_, guard, contact, t1[i], t);
+    own.segment<2>(c.row + 1) = surface.velocity();
+    rate.segment<2>(c.row + 1) = surface.rate();
+  }
+}
+
+// Friction and restitution that depend on speeds are those of the speeds at the start.
+void DenseStepTangent::take_coefficients() {
+  const DenseStepRecord& s = *record_;
+  coefficients_.assign(s.contacts.size(), {});
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    const int guard = c.point.guard;
+    const ContactLaw* law = scene_->law(guard);
+    if (law == nullptr) continue;
+    Coefficients& found = coefficients_[i];
+    if (law->e.given()) {
+      const double closing = -s.W0.col(c.row).dot(v0_);
+      found.own_e = false;
+      if (closing > 0.0 && c.restitution > 0.0) found.e_by_closing = -law->e.slope(closing);
+    }
+    if (c.mu == 0.0 || !scene_->friction_varies(guard)) continue;
+    const Eigen::Array2d shares = start_[i].contact.shares();
+    const Eigen::Vector2d w = s.W0.middleCols<2>(c.row + 1).transpose() * v0_ + own0_.segment<2>(c.row + 1);
+    const Eigen::Vector2d slip = w.array() / shares;
+    const bool sticks = slip.norm() <= DenseStepRecord::kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+    found.own_mu = takes_friction(*scene_, guard, sticks);
+    // What carries a load from the last step sticks at its end along all directions.
+    const auto lasts = [&](const DenseStepRecord::Round& round) { return round.lasting[i] != 0; };
+    if (sticks && std::none_of(s.rounds.begin(), s.rounds.end(), lasts)) {
+      found.without_rest = scene_->sliding_friction(guard, 0.0);
+    } else if (!sticks && law->mu.given()) {
+      found.mu_by_slip = law->mu.slope(slip.norm()) * (slip.normalized().array() / shares).matrix();
+    }
   }
 }
 
@@ -165,7 +232,7 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   const DenseStepRecord::Place &about = s.places[r.about], &slips = s.places[r.slips], &next = s.places[k + 1];
   Round& round = rounds_[k];
   round.lambda = k + 1 == s.rounds.size() ? s.lambda : next.lambda;
-  VecX w = s.W0.transpose() * r.v;
+  VecX w = s.W0.transpose() * r.v + own0_;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
     if (r.present[i] == 0) {  // it had joined later: open
@@ -174,7 +241,8 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
     }
     w[c.row] += (about.end[i].gap - c.allowed) / s.h - s.W0.col(c.row).dot(about.v);
     if (r.lasting[i] == 0) continue;
-    for (int t = c.row + 1; t < c.row + 3; ++t) w[t] += 0.5 * (slips.W.col(t) - s.W0.col(t)).dot(slips.v);
+    for (int t = c.row + 1; t < c.row + 3; ++t)
+      w[t] += 0.5 * ((slips.W.col(t) - s.W0.col(t)).dot(slips.v) + slip_own_[r.slips][t] - own0_[t]);
   }
   VecX box = VecX::Zero(rows_);
   for (std::size_t j = 0; j < s.joints.size(); ++j) box[s.row_of(j)] = 0.5 * s.h * s.joints[j].limit;
@@ -237,7 +305,7 @@ void DenseStepTangent::take_end() {
   for (std::size_t j = 0; j < s.joints.size(); ++j) box[s.row_of(j)] = 0.5 * s.h * s.joints[j].limit;
   // A contact that takes no part is open: its speed is as large as can be.
   const auto speeds = [&](const VecX& v) {
-    VecX w = s.W1.transpose() * v;
+    VecX w = s.W1.transpose() * v + own1_;
     for (const DenseStepRecord::Contact& c : s.contacts)
       if (!c.closed) w[c.row] = 1.0 + scale_.speed;
     return w;
@@ -264,13 +332,6 @@ void DenseStepTangent::take_end() {
 // Restitution depends on the normal impulses themselves, also where the motion before it does not.
 void DenseStepTangent::check_expansion() {
   const DenseStepRecord& s = *record_;
-  for (const DenseStepRecord::Contact& c : s.contacts) {
-    const ContactLaw* law = scene_->law(c.point.guard);
-    if (c.expands && law != nullptr && law->e.given())
-      refuse("restitution", c.point.guard, "Restitution depends on the closing speed in a dense step",
-             "a coefficient that is a number", "a function of the speed",
-             "Use contact_mode='events', or a number as restitution");
-  }
   const Round& last = rounds_[s.rounds.size() - 1];
   const double all = MinvW_.cwiseAbs().maxCoeff();
   const auto check = [&](const VecX& lambda, bool at_end) {

@@ -4,21 +4,26 @@
 // with the velocity v0; gaps and rows of a place are those at the end of that motion.
 //   v_0      the smooth step from (q0, p0), q_0 = q0 (+) h v_0: the first place
 //   round    D (v_a - v_r) = W0^T (L_a - L_r), the whole law for L_a with the speeds
-//              w_n = (gap(q_p) - allowed)/h + W0_n (v_a - v_p),   w_t = W0_t v_a + (W_s - W0)_t v_s / 2
+//              w_n = (gap(q_p) - allowed)/h + W0_n (v_a - v_p),
+//              w_t = W0_t v_a + (W_s - W0)_t v_s / 2 + (u_s + u_0) / 2
 //            about a place p, from a place r (of no impulses, or p); then the smooth step from (q0, p0 + W0^T L) with
 //            L_t = L_a,t and the L_n that close loaded gaps: the next place
 //   end      v' = M1^-1 (p1- + W1^T L'), the whole law for L' and w = W1 v'
 //   restitution: the same for L'' >= e (L + L'), of which a share is taken that just keeps the energy
+// u are the velocities that surfaces have of themselves, at the end of a place and at the start, where coefficients of
+// friction and of restitution that depend on the slip and the closing speed are those of the velocity v0.
 // Constraints phi(q, t) = 0 are rows Phi without a cone in all of these: the smooth steps, the first one too, end on
 // them, phi(q_p, t1) = 0, the law keeps Phi0 (v_a - v_r) = 0, and at the end Phi1 v + d phi/dt = 0.
 // Where several points share a load, the impulses are those of least norm.
 #pragma once
 
 #include <Eigen/Cholesky>
+#include <cmath>
 #include <deque>
 
 #include "contact/dense_step_record.hpp"
-#include "geometry/contact_tangent.hpp"
+#include "geometry/guard.hpp"
+#include "geometry/surface_velocity_tangent.hpp"
 #include "model/constraint_tangent.hpp"
 #include "sensitivity/dense_laws.hpp"
 #include "sensitivity/kinks.hpp"
@@ -70,6 +75,22 @@ class DenseStepTangent {
   struct Extra {
     double gap = 0.0;
     Vec3 normal = Vec3::Zero();
+    Eigen::Vector2d own = Eigen::Vector2d::Zero();  // the velocity of the surfaces
+  };
+  // The geometry of a contact at some place, and the velocity of its surfaces there.
+  struct Site {
+    ContactTangent contact;
+    SurfaceVelocityTangent surface;
+    explicit Site(const Scene& scene) : contact(scene) {}
+  };
+  // The coefficients of a contact: whether they are the numbers of its pair, and their derivatives by the speeds of its
+  // tangential rows and of its normal one at the start.
+  struct Coefficients {
+    bool own_mu = true, own_e = true;
+    Eigen::Vector2d mu_by_slip = Eigen::Vector2d::Zero();
+    double e_by_closing = 0.0;
+    double without_rest =
+        INFINITY;  // friction of a contact at rest if that were not larger than that of one that slides
   };
   // The step without other impulses than those of the constraints: its changes per unit of each of these, and the
   // equations for them.
@@ -96,6 +117,11 @@ class DenseStepTangent {
   void note(const DenseLaws& laws);
   void approximate(const char* why) { approximate_ = *approximate_ == 0 ? why : approximate_; }
   void take_geometry();
+  void take_sites(std::vector<Site>& sites, const VecX& q, double t, const std::vector<Contact>& at,
+                  const std::vector<Vec3>& t1, VecX& own, VecX& rate);
+  void take_coefficients();
+  void coefficient_changes(const DenseStepDirection& d);
+  void check_rest(const DenseStepDirection& d, std::size_t contact, const Eigen::Vector2d& slip_change);
   void take_masses(const VecX& tau, const Servo* servo);
   void take_free(const VecX& tau, const Servo* servo);
   void take_round(std::size_t k, const VecX& tau, const Servo* servo);
@@ -109,12 +135,12 @@ class DenseStepTangent {
   void set_start_rows(const VecX& dq0, double dt);
   void add_found_rows(int place, const VecX& dq);
   void set_law_change(std::size_t contact, const Contact& at, const VecX& dq);
-  Extra extra(std::size_t contact, const Contact& at, const Vec3& t1, Eigen::Ref<MatX> dW);
+  Extra extra(std::size_t contact, const Site& site, const Contact& at, const Vec3& t1, Eigen::Ref<MatX> dW);
   Extra extra_gap(std::size_t contact, const Contact& at) const;
   VecX extra_gaps(const DenseStepRecord::Place& place);
   void clear_law_changes() { law_change_.assign(record_->contacts.size(), {Vec3::Zero(), Vec3::Zero(), 0.0}); }
   void set_end_rows(const VecX& dq1, double dt);
-  void slip_change(int place, const VecX& dq, const VecX& dv, VecX& dslip);
+  void slip_change(int place, const VecX& dq, const VecX& dv, double dt_end, VecX& dslip);
   void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
   double allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const;
   VecX end_times(std::size_t place, const DenseStepDirection& d) const;
@@ -139,9 +165,16 @@ class DenseStepTangent {
   std::deque<Round> rounds_;
   const DenseStepRecord* record_ = nullptr;
   BodyTwists twists_;
-  std::vector<ContactTangent> start_, end_, found_;  // found_: of points as they were found at the start
-  std::vector<char> is_found_;                       // whether the law of a point is not the point as it was found
-  std::vector<std::vector<ContactTangent>> slip_;    // per place with which slips are made
+  Guards guards_;
+  std::vector<Site> start_, end_;
+  std::vector<ContactTangent> found_;    // of points as they were found at the start
+  std::vector<char> is_found_;           // whether the law of a point is not the point as it was found
+  std::vector<std::vector<Site>> slip_;  // per place with which slips are made
+  // Velocities that surfaces have of themselves in the rows at the start, at the end and at those places, and their
+  // derivatives by the time.
+  VecX own0_, own1_, own0_rate_, own1_rate_;
+  std::vector<VecX> slip_own_, slip_own_rate_;
+  std::vector<Coefficients> coefficients_;
   double margin_ = 1.0, error_ = 0.0;
   const char* approximate_ = "";
   int rows_ = 0, constraints_ = 0;  // constraints_: how many of the rows are those of constraints
@@ -155,6 +188,8 @@ class DenseStepTangent {
   double expansion_rate_ = 0.0;                     // energy per share [J]
   // Along the present direction.
   MatX dW0_, dW1_;
+  VecX down0_, down1_;  // of the velocities of surfaces at both ends
+  VecX dmu_, de_;       // of the coefficients of the contacts
   std::vector<Vec3> dn0_, dt1_;
   std::vector<LawChange> law_change_;
   std::vector<Change> places_;

@@ -46,7 +46,7 @@ PhaseEnd release_of(const ContactStepRecord& s) {
   PhaseEnd end{s.t + s.h, s.q1, s.p1, s.v1, static_cast<int>(s.lambda.size()), {}, {}, s.ended, true};
   for (const ContactStepRecord::Joint& joint : s.joints) end.joints.push_back({joint.dof, joint.limit});
   for (const ContactStepRecord::Contact& c : s.contacts)
-    end.contacts.push_back({c.before, c.t1_end, c.end.normal, c.outcome.slips, c.row});
+    end.contacts.push_back({c.before, c.t1_end, c.end.normal, c.outcome.slips, c.row, c.outcome.rolls});
   return end;
 }
 
@@ -126,8 +126,8 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
     pulls[r] = adhesion(*scene_, s.contacts[i].before, time_);
     if (count == 1 || !guards_.moves(point.guard)) continue;
     surface_.take(*scene_, point.guard, tangent_, t1[i], time_);
-    own.segment<2>(r + 1) = surface_.velocity();
-    own_rates.segment<2>(r + 1) = surface_.change(tangent_) + surface_.rate();
+    own.segment(r + 1, count - 1) = surface_.velocity();
+    own_rates.segment(r + 1, count - 1) = surface_.change(tangent_) + surface_.rate();
   }
   if (any_adhesion_) {
     VecX pulled = W_ * pulls;
@@ -166,16 +166,20 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
       continue;
     }
     // What sticks up to its release begins to slip before it: its friction goes to zero with the normal force.
-    const bool slips = s.contacts[i].slips, ends = s.releases && static_cast<int>(i) == s.ended;
-    if (count == 1 || !(slips || ends)) continue;
-    A.middleRows(r + 1, 2).setZero();
-    A.block<2, 2>(r + 1, r + 1).setIdentity();
-    c.segment<2>(r + 1).setZero();
-    if (!slips) continue;
-    const Eigen::Vector2d w = W_.middleCols(r + 1, 2).transpose() * v_ + own.segment<2>(r + 1);
+    const bool ends = s.releases && static_cast<int>(i) == s.ended;
     const int guard = s.contacts[i].before.point.guard;
     const bool varies = scene_->law(guard) != nullptr && scene_->law(guard)->mu.given();
-    A.block<2, 1>(r + 1, r) = (varies ? scene_->sliding_friction(guard, w.norm()) : mu[i]) * w.normalized();
+    for (const auto& [row, size, rolls] : friction_rows(r, count)) {
+      const bool slips = rolls ? s.contacts[i].rolls : s.contacts[i].slips;
+      if (!(slips || ends)) continue;
+      A.middleRows(row, size).setZero();
+      A.block(row, row, size, size).setIdentity();
+      c.segment(row, size).setZero();
+      if (!slips) continue;
+      const VecX w = W_.middleCols(row, size).transpose() * v_ + own.segment(row, size);
+      const double bound = rolls ? 1.0 : varies ? scene_->sliding_friction(guard, w.norm()) : mu[i];
+      A.block(row, r, size, 1) = bound * w.normalized();
+    }
   }
   system_.compute(A, equations);
   const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();

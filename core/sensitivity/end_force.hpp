@@ -4,8 +4,9 @@
 //
 // With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of the
 // constraints, of the normals and of what sticks, f_t = -mu f_n d of what slips, f_t = 0 of the contact that sticks and
-// is released; a is the acceleration without contacts, with adhesion, and dW the change of the rows along v
-// (ContactTangent, ConstraintTangent), to which surfaces that move along themselves add the rate of their velocities.
+// is released, and the same of what rolls with friction against it; a is the acceleration without contacts, with
+// adhesion, and dW the change of the rows along v (ContactTangent, ConstraintTangent), to which surfaces that move along
+// themselves add the rate of their velocities.
 // Its derivative would need the third derivatives of gaps and constraints: it is taken by fourth-order differences,
 // which are right to 1e-10.
 #pragma once
@@ -14,6 +15,7 @@
 #include "geometry/guard.hpp"
 #include "geometry/surface_velocity_tangent.hpp"
 #include "model/constraint_tangent.hpp"
+#include "sensitivity/friction_rows.hpp"
 #include "sensitivity/motion_parameters.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/shared_load.hpp"
@@ -28,6 +30,7 @@ struct PhaseEnd {
     Vec3 t1, normal;  // at the end, world
     bool slips;       // there
     int row;
+    bool rolls = false;  // with friction against it
   };
   struct Joint {
     int dof;

@@ -98,8 +98,8 @@ void HeldStepTangent::place_nodes() {
     chart.take(X.col(i));
     velocities_.col(i) = chart.velocity(s.rates.col(i));
   }
-  const auto require = s.from_file ? require_plain_law : require_known_law;
-  for (const PersistentContact& c : s.contacts) require(*scene_, c.point.guard, s.t);
+  for (const PersistentContact& c : s.contacts)
+    if (s.lacks_laws) require_plain_law(*scene_, c.point.guard, s.t);
   phase_.set(s.contacts, s.joints, 2 * stages_ + 1);
   rows_ = fixed_ + phase_.count();
   slides_ = static_cast<int>(phase_.slides().size());

@@ -6,7 +6,6 @@
 #include "base/differences.hpp"
 #include "model/coupling.hpp"
 #include "sensitivity/kinks.hpp"
-#include "sensitivity/known_laws.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
@@ -98,7 +97,6 @@ void ImpactTangent::take_rows(const RecordedImpact& impact) {
   // Without a block one point had the impact: the first one of the contact.
   for (int k = 0; k < sequence_.count(); ++k) {
     const ClosedGuard& closed = sequence_.closed(k);
-    require_known_law(*scene_, closed.guard, impact.time);
     const int count = impact.block != nullptr ? closed.count : 1;
     for (int i = 0; i < count; ++i) {
       const ContactPoint& point = closed.points[i];
@@ -249,7 +247,7 @@ double ImpactTangent::rest_change(const VecX& dq, const VecX& dp, double dh, dou
 void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   const int n = scene_->tree.nv;
   dW_.resize(n, rows_);
-  std::vector<Eigen::Vector2d> moved(points_.size(), Eigen::Vector2d::Zero());
+  std::vector<VecX> moved(points_.size());
   for (int i = 0; i < points(); ++i) {
     contacts_[i].change(d.q, t1_[i], dW_.middleCols(points_[i].row, points_[i].rows));
     if (surfaces_[i].moves()) moved[i] = surfaces_[i].change(contacts_[i]) + d.time * surfaces_[i].rate();
@@ -267,7 +265,7 @@ void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   doffset_.setZero(rows_);
   if (projection_.any()) projection_.change(d.q, d.time, turned_, dW_, doffset_);
   for (int i = 0; i < points(); ++i)
-    if (surfaces_[i].moves()) doffset_.segment<2>(points_[i].row + 1) += moved[i];
+    if (surfaces_[i].moves()) doffset_.segment(points_[i].row + 1, moved[i].size()) += moved[i];
   dgamma_ = dW_.transpose() * u_ + Z_.transpose() * (d.p - heavier) + doffset_;
   dG_ = dW_.transpose() * Z_ + Z_.transpose() * dW_ - Z_.transpose() * turned_;
 }

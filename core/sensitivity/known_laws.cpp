@@ -4,34 +4,22 @@
 
 namespace contactvi {
 
-namespace {
-[[noreturn]] void refuse(int guard, double time, const char* expected, const char* got) {
-  throw NoDerivative({"law", guard, time}, "Derivatives through this law of contact are not known", expected, got,
-                     "Differentiate a run without it, or by differences of runs");
-}
-}  // namespace
-
-void require_known_law(const Scene& scene, int guard, double time) {
-  const ContactLaw* law = scene.law(guard);
-  if (law != nullptr && law->turning_rows() > 0)
-    refuse(guard, time, "friction against the slip alone", "friction against spinning or rolling");
-}
-
 void require_plain_law(const Scene& scene, int guard, double time) {
-  require_known_law(scene, guard, time);
   const ContactLaw* law = scene.law(guard);
-  const char* expected =
-      "in dense steps and in runs from files Coulomb's friction with one number, on surfaces that do not move along "
-      "themselves, without adhesion";
-  if (scene.is_pair(guard) && scene.pairs[guard].moves && scene.friction(guard) > 0.0)
-    refuse(guard, time, expected, "a surface that moves along itself");
-  if (law != nullptr && (scene.friction_varies(guard) || law->axis_of >= 0 || law->pull.given()))
-    refuse(guard, time, expected, "another law of friction, or adhesion");
+  const bool moves = scene.is_pair(guard) && scene.pairs[guard].moves && scene.friction(guard) > 0.0;
+  const bool other = law != nullptr && (scene.friction_varies(guard) || law->axis_of >= 0 || law->pull.given() ||
+                                        law->turning_rows() > 0);
+  if (!moves && !other) return;
+  throw NoDerivative({"law", guard, time}, "The file of the run lacks what derivatives through this contact need",
+                     "in files of older versions Coulomb's friction with one number, on surfaces that do not move "
+                     "along themselves, without adhesion",
+                     moves ? "a surface that moves along itself" : "another law of friction, or adhesion",
+                     "Make the run again");
 }
 
-bool takes_friction(const Scene& scene, const PersistentContact& contact) {
-  const ContactLaw* law = scene.law(contact.point.guard);
-  return contact.mu > 0.0 && (law == nullptr || !(law->mu.given() || (contact.sticks && law->static_mu >= 0.0)));
+bool takes_friction(const Scene& scene, int guard, bool sticks) {
+  const ContactLaw* law = scene.law(guard);
+  return law == nullptr || !(law->mu.given() || (sticks && law->static_mu >= 0.0));
 }
 
 }  // namespace contactvi

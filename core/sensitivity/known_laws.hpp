@@ -5,12 +5,13 @@
 
 namespace contactvi {
 
-// Throws NoDerivative where a guard has friction against spinning or rolling; time: of the contact [s].
-void require_known_law(const Scene& scene, int guard, double time);
-// Of dense steps, and of steps from files: also where its friction depends on the speed or the direction of its slip,
-// or on a surface that moves along itself, or is larger at rest, or where it adheres.
+// Of steps from files of older versions: throws NoDerivative where a guard has another law of friction than Coulomb's
+// with one number, a surface that moves along itself, or adhesion; time: of the contact [s].
 void require_plain_law(const Scene& scene, int guard, double time);
 // Whether the friction of a contact, as it sticks or slides, is the number of its pair.
-bool takes_friction(const Scene& scene, const PersistentContact& contact);
+bool takes_friction(const Scene& scene, int guard, bool sticks);
+inline bool takes_friction(const Scene& scene, const PersistentContact& contact) {
+  return contact.mu > 0.0 && takes_friction(scene, contact.point.guard, contact.sticks);
+}
 
 }  // namespace contactvi

@@ -43,6 +43,7 @@ void PoissonTangent::set_phase(Phase& phase, const VecX& least) {
   const Eigen::Index rows = G_.rows();
   MatX A = G_;
   phase.modes.clear();
+  phase.slips.clear();
   phase.at_least.clear();
   for (std::size_t i = 0; i < points_.size(); ++i) {
     const ImpactPoint& point = points_[i];
@@ -59,25 +60,22 @@ void PoissonTangent::set_phase(Phase& phase, const VecX& least) {
     const bool at_least = least[i] > 0.0 && normal <= least[i] * (1.0 + kOnCone);
     phase.at_least.push_back(at_least);
     if (at_least) A.row(r) = MatX::Identity(rows, rows).row(r);
-    if (point.rows == 1) {
-      phase.modes.push_back(Mode::kStick);
-      continue;
+    phase.modes.push_back(Mode::kLoaded);
+    for (const FrictionRows& rows_of : friction_rows(r, point.rows)) {
+      const int first = rows_of.row, count = rows_of.count;
+      const double mu = rows_of.rolls ? 1.0 : point.mu;
+      const VecX slip = phase.gamma.segment(first, count);
+      const double friction = phase.lambda.segment(first, count).norm(), limit = mu * normal;
+      const bool slips = friction >= limit * (1.0 - kOnCone);
+      // How far the friction is from its limit where it sticks, and the slip from zero where it slips.
+      const double margin = slips ? slip.norm() / (speed_ + kTiny) : (limit - friction) / (impulse_ + kTiny);
+      margin_ = std::min(margin_, margin);
+      if (!slips || margin < kOnCone) continue;  // without a slip on the border it sticks
+      phase.slips.push_back({i, rows_of, mu});
+      A.middleRows(first, count) = mu * normal * turn_of(slip) * G_.middleRows(first, count);
+      A.block(first, first, count, count).diagonal().array() += 1.0;
+      A.block(first, r, count, 1) += mu * slip.normalized();
     }
-    const Eigen::Vector2d slip = phase.gamma.segment<2>(r + 1);
-    const double friction = phase.lambda.segment<2>(r + 1).norm(), limit = point.mu * normal;
-    const bool slips = friction >= limit * (1.0 - kOnCone);
-    // How far the friction is from its limit where it sticks, and the slip from zero where it slips.
-    const double margin = slips ? slip.norm() / (speed_ + kTiny) : (limit - friction) / (impulse_ + kTiny);
-    margin_ = std::min(margin_, margin);
-    const bool turns = slips && margin >= kOnCone;  // without a slip on the border it sticks
-    phase.modes.push_back(turns ? Mode::kSlip : Mode::kStick);
-    if (!turns) continue;
-    const Eigen::Vector2d along = slip.normalized();
-    const Eigen::Matrix2d turn =
-        point.mu * normal / slip.norm() * (Eigen::Matrix2d::Identity() - along * along.transpose());
-    A.middleRows(r + 1, 2) = turn * G_.middleRows(r + 1, 2);
-    A.block<2, 2>(r + 1, r + 1) += Eigen::Matrix2d::Identity();
-    A.block<2, 1>(r + 1, r) += point.mu * along;
   }
   phase.system.compute(A);
 }
@@ -131,10 +129,13 @@ PoissonTangent::Outcome PoissonTangent::solve(const Phase& phase, const VecX& dg
       continue;
     }
     if (phase.at_least[i]) c[r] = -dleast[i];
-    if (phase.modes[i] != Mode::kSlip) continue;
-    const Eigen::Vector2d slip = phase.gamma.segment<2>(r + 1), along = slip.normalized();
-    const Eigen::Vector2d across = dgamma0.segment<2>(r + 1) - along * along.dot(dgamma0.segment<2>(r + 1));
-    c.segment<2>(r + 1) = phase.lambda[r] * (d.mu[i] * along + point.mu / slip.norm() * across);
+  }
+  for (const Slip& at : phase.slips) {
+    const auto& [row, count, rolls] = at.rows;
+    const VecX slip = phase.gamma.segment(row, count);
+    const double dmu = rolls ? 0.0 : d.mu[static_cast<Eigen::Index>(at.point)];
+    c.segment(row, count) = phase.lambda[points_[at.point].row] *
+                            (dmu * slip.normalized() + at.mu * turn_of(slip) * dgamma0.segment(row, count));
   }
   if (!phase.system.solve(c, d.size, dlambda)) return Outcome::kContradiction;
   for (std::size_t i = 0; i < points_.size(); ++i) {

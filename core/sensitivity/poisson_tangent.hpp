@@ -4,17 +4,19 @@
 // With the speeds gamma- of the rows before the impact and the Delassus matrix G, each problem has the speeds
 // gamma = gamma_0 + G Lambda, gamma_0 = gamma- at first and gamma- + G Lambda_1 then, and at each point
 //   open:   dLambda = 0;      loaded: dgamma_n = 0, or dLambda_n = d(e Lambda_1n) where that is the least it may be;
-//   sticks: dgamma_t = 0;     slips:  d(Lambda_t + mu Lambda_n s / |s|) = 0, s the slip gamma_t.
+//   sticks: dgamma_t = 0;     slips:  d(Lambda_t + mu Lambda_n s / |s|) = 0, s the slip gamma_t,
+// with the spin where that has friction, and the same for rolling (friction_rows.hpp).
 // Where several points share a load the impulses are those of least norm.
 #pragma once
 
 #include <vector>
 
+#include "sensitivity/friction_rows.hpp"
 #include "sensitivity/shared_load.hpp"
 
 namespace contactvi {
 
-// A point of an impact: its first row and how many it has, 1 without friction and 3 with.
+// A point of an impact: its first row and how many it has, 1 without friction and 3 or more with.
 struct ImpactPoint {
   int row, rows;
   double e, mu;
@@ -45,10 +47,17 @@ class PoissonTangent {
   Outcome solve(const PoissonDirection& direction, VecX& dlambda) const;
 
  private:
-  enum class Mode { kOpen, kBorder, kSlip, kStick };
+  enum class Mode { kOpen, kBorder, kLoaded };
+  // Friction against a slip that a point has.
+  struct Slip {
+    std::size_t point;
+    FrictionRows rows;
+    double mu;
+  };
   struct Phase {
     bool any = false;
     std::vector<Mode> modes;
+    std::vector<Slip> slips;
     std::vector<char> at_least;  // whether the normal impulse is the least that it may be
     VecX lambda, gamma;
     SharedLoad system;

@@ -128,20 +128,71 @@ def test_coefficients_that_are_no_numbers() -> None:
         assert bool(np.abs(by_friction).max() > 1e-3) == expected
 
 
-def test_dense_steps_refuse() -> None:
-    scene, q, v = box(STATIC)
-    run = cvi.simulate(scene, q, v, duration=0.1, dt=0.01, contact_mode="steps", record="gradient")
-    with pytest.raises(cvi.NotDifferentiable, match="law") as refused:
-        run.sensitivity("v0")
-    assert refused.value.reason == "law"
+TABLE_OF_SPEED = {"friction": [(0.0, 0.5), (0.4, 0.3), (2.0, 0.2)], "static_friction": 0.6}
+# name -> start, duration; what a file can hold
+STORED: dict[str, tuple[Callable[[], Start], float]] = {
+    "a ball bounces on a belt": (lambda: ball(PLAIN, 0.7, 0.3, **BELT), 0.4),
+    "a ball comes to roll on a turntable": (lambda: ball(PLAIN, linear=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 2.0)), 0.4),
+    "a box comes to rest on a belt": (lambda: box(PLAIN, **BELT), 0.5),
+    "a box comes to rest, friction by speed": (lambda: box(TABLE_OF_SPEED, (0.6, 0.52, 0.0)), 0.4),
+    "a ball comes to roll, friction along an axis": (lambda: ball(ALONG), 0.6),
+    "a box comes to rest, static friction": (lambda: box(STATIC), 0.4),
+    "a box comes to rest under adhesion": (lambda: box({"friction": 0.3, "adhesion": 4.0}), 0.4),
+    "a ball spins and rolls to rest": (lambda: ball(TURNING | {"friction": 0.4}), 0.5),
+}
+TURNING = {"spinning_radius": 0.01, "rolling_radius": 0.005}
 
 
 @pytest.mark.parametrize("order", [2, 4])
-def test_runs_from_files_refuse(order: int, tmp_path: Path) -> None:
-    """A file does not keep what these laws need."""
-    scene, q, v = box(PLAIN, **BELT)
-    run = cvi.simulate(scene, q, v, duration=0.1, dt=0.01, order=order, record="gradient")
+@pytest.mark.parametrize("name", STORED)
+def test_runs_from_files(name: str, order: int, tmp_path: Path) -> None:
+    """A file keeps all that these laws need: the derivatives of a run that was loaded have the same bits."""
+    make, duration = STORED[name]
+    scene, q, v = make()
+    run = cvi.simulate(scene, q, v, duration=duration, dt=0.01, order=order, record="gradient")
     again = cvi.Trajectory.load(run.save(tmp_path / "run.npz"))
-    with pytest.raises(cvi.NotDifferentiable, match="files") as refused:
-        again.sensitivity("v0")
-    assert refused.value.reason == "law"
+    twice = cvi.Trajectory.load(again.save(tmp_path / "again.npz"))
+    wrt = ["q0", "v0", "friction"]
+    expected = run.sensitivity(wrt, on_kink="taken").matrix
+    for stored in (again, twice):
+        np.testing.assert_array_equal(stored.sensitivity(wrt, on_kink="taken").matrix, expected)
+        for cost in ("q0", "friction"):
+            ones = np.ones((2, len(run.t), scene.nv))
+            mine, other = (cvi.gradient(r, tuple(ones), [cost], on_kink="taken")[1] for r in (run, stored))
+            np.testing.assert_array_equal(mine[cost], other[cost])
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_files_of_older_versions(order: int, tmp_path: Path) -> None:
+    """They lack what laws need: such runs have no derivatives, those with Coulomb's law have them as before."""
+    for contact, surface, has_law in ((PLAIN, BELT, True), (PLAIN, {}, False)):
+        scene, q, v = box(contact, **surface)
+        run = cvi.simulate(scene, q, v, duration=0.1, dt=0.01, order=order, record="gradient")
+        path = run.save(tmp_path / "run.npz", overwrite=True)
+        with np.load(path) as file:
+            entries = {name: file[name] for name in file.files if name not in ("input/contact_laws", "input/held_laws")}
+        np.savez(path, **entries)
+        again = cvi.Trajectory.load(path)
+        if not has_law:
+            np.testing.assert_array_equal(again.sensitivity("v0").matrix, run.sensitivity("v0").matrix)
+            continue
+        with pytest.raises(cvi.NotDifferentiable, match="older versions") as refused:
+            again.sensitivity("v0")
+        assert refused.value.reason == "law"
+        saved_again = cvi.Trajectory.load(again.save(tmp_path / "again.npz"))
+        with pytest.raises(cvi.NotDifferentiable, match="older versions"):
+            saved_again.sensitivity("v0")
+
+
+def test_numbers_of_laws_that_do_not_belong_to_the_scene(tmp_path: Path) -> None:
+    scene, q, v = ball(TURNING | {"friction": 0.4})
+    run = cvi.simulate(scene, q, v, duration=0.3, dt=0.01, record="gradient")
+    path = run.save(tmp_path / "run.npz")
+    with np.load(path) as file:
+        entries = {name: file[name] for name in file.files}
+    laws = entries["input/contact_laws"]
+    assert len(laws)
+    for wrong in (laws[:-1], np.append(laws, 0.0), -laws, np.zeros_like(laws)):
+        np.savez(path, **(entries | {"input/contact_laws": wrong}))
+        with pytest.raises(cvi.ContactviError, match="do not belong to its scene"):
+            cvi.Trajectory.load(path).sensitivity("v0")

@@ -228,8 +228,6 @@ def test_refused():
     scene, q = ball(spinning_radius=0.002)
     with pytest.raises(cvi.InputError, match="Dense steps"):
         cvi.simulate(scene, q, np.zeros(6), 0.1, 0.01, contact_mode="steps")
-    with pytest.raises(cvi.NotDifferentiable, match="spinning"):
-        cvi.simulate(scene, q, np.zeros(6), 0.1, 0.01, record="gradient")
     with pytest.raises(cvi.InputError, match="rolling_radius"):
         scene.set_contact(rolling_radius=-1.0)
     scene.set_contact(impact_process="incremental")

@@ -18,6 +18,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.records import contacts, dense_steps
+from contactvi.records.inputs import STORED
 from contactvi.trajectory import polynomials as dense
 from contactvi.trajectory import storage
 from helpers.run_scenes import FIRST_IMPACT, GRAVITY, HEIGHT, RADIUS, ball_scene, hand_scene, slider_scene
@@ -200,10 +201,7 @@ def test_every_entry_is_documented(ball, tmp_path):
     stored |= {f"change/{name}" for name in contacts.CHANGE_FIELDS} | {f"phase/{name}" for name in ("t", "dt", "held")}
     stored |= {f"dense/{name}" for name in dense_steps.FIELDS}  # of runs with dense steps
     stored |= {"force/work", "force/reactions"}  # tests/elements/test_elements.py
-    stored |= {
-        f"input/{name}"
-        for name in ("saturated", "control", "target", "contact_steps", "impact_blocks", "dense_steps", "held_steps")
-    }  # test_stored_inputs.py
+    stored |= {f"input/{name}" for name in ("saturated", "control", "target", *STORED)}  # test_stored_inputs.py
     stored |= {"arc/t", "arc/dt"}  # of runs with dt "auto", tests/simulation/test_adaptive.py
     assert described == {name for name in stored if not name.startswith("array/")}
 
