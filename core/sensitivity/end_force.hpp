@@ -5,8 +5,8 @@
 // With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of the
 // constraints, of the normals and of what sticks, f_t = -mu f_n d of what slips, f_t = 0 of the contact that sticks and
 // is released, and the same of what rolls with friction against it; a is the acceleration without contacts, with
-// adhesion, and dW the change of the rows along v (ContactTangent, ConstraintTangent), to which surfaces that move along
-// themselves add the rate of their velocities.
+// adhesion, and dW the change of the rows along v (ContactTangent, ConstraintTangent), to which surfaces that move
+// along themselves add the rate of their velocities.
 // Its derivative would need the third derivatives of gaps and constraints: it is taken by fourth-order differences,
 // which are right to 1e-10.
 #pragma once
