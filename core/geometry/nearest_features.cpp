@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 
 #include "geometry/nearest_on_ellipsoid.hpp"
 
@@ -11,11 +12,15 @@ namespace contactvi {
 namespace {
 
 constexpr double kCertified = 2e-13;  // [m] per metre of the places: distance and bound differ by rounding
+constexpr double kBorder = 1e-9;
 constexpr double kOnFeature = 1e-5;   // [m] coal's point is this near to a feature that is tried first
 constexpr double kFlat = 1e-3;        // [rad] from here on a disc or a side of a cylinder is tried first
 constexpr double kFacingSide = 0.05;  // [rad] of a face to the normal, for it to be tried
 constexpr double kFlush = 1e-13;      // [m] a side, a disc or an edge whose points differ by less is parallel to a face
-constexpr double kParallel = 1e-12;   // square of the sine between two pieces from which they are parallel
+constexpr double kParallel = 1e-12;   // square of the sine between a circle and another piece that are parallel
+// The same between two lines: where they cross at less, their distance differs by (1e-12 length)^2 / 2e-5 m at most.
+constexpr double kParallelLines = 1e-24;
+constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
 constexpr int kNewton = 12;
 constexpr double kStep = 1e-15;  // of the size: Newton's method has converged
 
@@ -175,9 +180,28 @@ struct Runner {
   bool is_inside() const { return piece->kind != Piece::kLine || (s >= -kBorder && s <= piece->length + kBorder); }
 };
 
-// Newton's method for the nearest points of two pieces that are no planes; false where it does not lead to a minimum
-// inside of both.
-bool nearest_points(const Piece& p, const Piece& q, Vec3& x_a, Vec3& x_b) {
+// The nearest points of two pieces that are no planes, and the unit tangents there; that of a point is zero.
+struct Nearest {
+  Vec3 x_a, x_b, t_a, t_b;
+};
+
+// Of two lines. False where they are parallel, or are nearest beyond an end.
+bool nearest_on_lines(const Piece& p, const Piece& q, Nearest& found) {
+  const Vec3 cross = p.u.cross(q.u), d = q.origin - p.origin;
+  const double square = cross.squaredNorm();
+  if (!(square > kParallelLines)) return false;
+  Runner a(p), b(q);
+  a.s = d.cross(q.u).dot(cross) / square;
+  b.s = d.cross(p.u).dot(cross) / square;
+  a.place();
+  b.place();
+  found = {a.x, b.x, p.u, q.u};
+  return a.is_inside() && b.is_inside();
+}
+
+// By Newton's method, where it does not lead to a minimum inside of both false.
+bool nearest_points(const Piece& p, const Piece& q, Nearest& found) {
+  if (p.kind == Piece::kLine && q.kind == Piece::kLine) return nearest_on_lines(p, q, found);
   Runner a(p), b(q);
   if (p.kind == Piece::kLine && q.kind == Piece::kCircle) a.move(p.u.dot(b.x - a.x));
   if (q.kind == Piece::kLine && p.kind == Piece::kCircle) b.move(q.u.dot(a.x - b.x));
@@ -194,9 +218,25 @@ bool nearest_points(const Piece& p, const Piece& q, Vec3& x_a, Vec3& x_b) {
     a.move(step_a);
     b.move(step_b);
   }
-  x_a = a.x;
-  x_b = b.x;
+  found = {a.x, b.x, a.first.normalized(), b.first.normalized()};
   return a.is_inside() && b.is_inside();
+}
+
+// The common normal of two pieces at their nearest points, directed as d = x_b - x_a. The rounding of the points turns
+// d by `turn` [rad], which is much where they are near to each other: therefore the normal is made orthogonal to the
+// tangents, whose rounding does not depend on the distance. Of tangents that are nearly parallel, the part of one
+// across the other is worse than d itself from a sine of kEpsilon / turn on.
+Vec3 common_normal(const Nearest& at, double turn) {
+  Vec3 n = at.x_b - at.x_a;
+  const bool has_a = !at.t_a.isZero(0.0);
+  n -= n.dot(at.t_a) * at.t_a;
+  Vec3 across = at.t_b - at.t_b.dot(at.t_a) * at.t_a;
+  const double sine = across.norm();
+  if (sine * turn > kEpsilon || (sine > 0.0 && !has_a)) {
+    across /= sine;
+    n -= n.dot(across) * across;
+  }
+  return n.normalized();
 }
 
 // The distance of the cores along the unit vector n from a to b: a lower bound on their distance.
@@ -255,7 +295,7 @@ class Refinement {
       : a_{&a, &pose_a, contact.point_a - a.radius * contact.normal, {}},
         b_{&b, &pose_b, contact.point_b + b.radius * contact.normal, {}},
         contact_(&contact),
-        rounding_(kCertified * (1.0 + contact.point_a.cwiseAbs().maxCoeff())) {
+        size_(1.0 + contact.point_a.cwiseAbs().maxCoeff()) {
     add_pieces(a_, contact.normal);
     add_pieces(b_, -contact.normal);
   }
@@ -302,13 +342,13 @@ class Refinement {
   }
 
   bool try_curves(const Piece& p, const Piece& q) {
-    Vec3 x_a, x_b;
-    if (!nearest_points(p, q, x_a, x_b)) return false;
-    Vec3 n = x_b - x_a;
-    const double distance = n.norm();
-    if (!(distance > 0.0)) return false;
-    n /= distance;
-    return accept(n, distance - p.swept - q.swept, x_a + p.swept * n, x_b - q.swept * n);
+    Nearest at;
+    if (!nearest_points(p, q, at)) return false;
+    const Vec3 d = at.x_b - at.x_a;
+    const double length = d.norm();
+    if (!(length > 0.0)) return false;
+    const Vec3 n = common_normal(at, kEpsilon * size_ / length);
+    return accept(n, n.dot(d) - p.swept - q.swept, at.x_a + p.swept * n, at.x_b - q.swept * n);
   }
 
   // Where a side, an edge or a disc lies flat over a face but for rounding, and its lowest point is not over the face,
@@ -369,7 +409,7 @@ class Refinement {
 
   // Takes the answer if the bound along its normal is its distance to rounding.
   bool accept(const Vec3& n, double distance, const Vec3& x_a, const Vec3& x_b) {
-    if (!(distance > 0.0) || distance - along_normal(*a_.shape, *a_.pose, *b_.shape, *b_.pose, n) > rounding_)
+    if (!(distance > 0.0) || distance - along_normal(*a_.shape, *a_.pose, *b_.shape, *b_.pose, n) > kCertified * size_)
       return false;
     contact_->gap = distance - a_.shape->radius - b_.shape->radius;
     contact_->normal = n;
@@ -380,7 +420,7 @@ class Refinement {
 
   Body a_, b_;
   Contact* contact_;
-  double rounding_;
+  double size_;  // of the places of points, 1 m at least
 };
 
 }  // namespace

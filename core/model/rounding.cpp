@@ -25,7 +25,7 @@ namespace {
 using Hull = coal::Convex<coal::Triangle>;
 
 // Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less.
-constexpr double kRoundingRadius = 1e-3;
+constexpr double kRoundingRadius = 1e-5;
 // Height over length of a triangle of the dual hull below which the plane of its whole face is taken: of a slender one
 // the digits are lost.
 constexpr double kSlender = 1e-3;
