@@ -292,7 +292,8 @@ double Guards::find_nearest(int guard, Contact& contact) {
   distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
   contact.body_a = a.body;
   contact.body_b = b.body;
-  if (pair.refined || (!a.is_ball && !b.is_ball && contact.gap < kFarApart)) manifolds_.refine(guard, placements_, contact);
+  if (pair.refined || (!a.is_ball && !b.is_ball && contact.gap < kFarApart))
+    manifolds_.refine(guard, placements_, contact);
   if (has_bounds(a, b)) distance_bounds_.keep(guard, shape_a, shape_b, contact);
   return contact.gap;
 }

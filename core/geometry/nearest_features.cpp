@@ -12,7 +12,9 @@ namespace contactvi {
 namespace {
 
 constexpr double kCertified = 2e-13;  // [m] per metre of the places: distance and bound differ by rounding
-constexpr double kBorder = 1e-9;
+// [m] beyond the border of a face or the end of an edge a point counts as over it. Where the cores are 2e-5 m apart, as
+// they are at contact, the distance is then wrong by 3e-14 m.
+constexpr double kBeyond = 1e-9;
 constexpr double kOnFeature = 1e-5;   // [m] coal's point is this near to a feature that is tried first
 constexpr double kFlat = 1e-3;        // [rad] from here on a disc or a side of a cylinder is tried first
 constexpr double kFacingSide = 0.05;  // [rad] of a face to the normal, for it to be tried
@@ -183,7 +185,7 @@ struct Runner {
     return std::abs(step) <= kStep * (1.0 + (piece->kind == Piece::kLine ? std::abs(s) : 0.0));
   }
 
-  bool is_inside() const { return piece->kind != Piece::kLine || (s >= -kBorder && s <= piece->length + kBorder); }
+  bool is_inside() const { return piece->kind != Piece::kLine || (s >= -kBeyond && s <= piece->length + kBeyond); }
 };
 
 // The nearest points of two pieces that are no planes, and the unit tangents there; that of a point is zero.
@@ -257,7 +259,7 @@ double along_normal(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatu
 bool point_over(const ShapeFeatures& plane, const Pose& plane_pose, int face, const ShapeFeatures& other,
                 const Pose& other_pose, const Vec3& n_W, const Vec3& near_W, Vec3& x_W) {
   const ShapeFeatures::Face& f = plane.faces[face];
-  auto is_over = [&](const Vec3& x) { return outside_of(plane, f, plane_pose.into(x)) <= kBorder; };
+  auto is_over = [&](const Vec3& x) { return outside_of(plane, f, plane_pose.into(x)) <= kBeyond; };
   const Vec3 down = into(other_pose, -n_W), lowest = support(other, down);
   x_W = other_pose.point(lowest);
   if (is_over(x_W)) return true;
@@ -459,7 +461,7 @@ class Refinement {
       const double between = distance + e.radius + f.radius;
       return accept(n, distance, c.x_W + (e.radius - 0.5 * between) * n, c.x_W + (0.5 * between - f.radius) * n);
     }
-    const Body &plane = on_b ? a_ : b_;
+    const Body& plane = on_b ? a_ : b_;
     const bool is_side = kind == Feature::kRimSideA || kind == Feature::kRimSideB;
     const int face = is_side ? plane.shape->ring_face[feature_j(c.feature) / 2] : feature_j(c.feature);
     const Vec3 n = (on_b ? 1.0 : -1.0) * (plane.pose->R * plane.shape->faces[face].normal);

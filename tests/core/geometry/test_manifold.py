@@ -270,6 +270,14 @@ def test_cylinder_on_a_box():
     np.testing.assert_allclose(np.abs(wide["x"][:, :2]), 0.05 - ROUNDING, atol=1e-12)
 
 
+@pytest.mark.parametrize("corners", [8, 12, 40, 300])
+def test_hulls_with_many_faces_at_a_vertex_have_flat_faces(corners):
+    """Such a vertex becomes several in the rounded hull, 1e-5 m apart and less: none of them belongs to a wrong face."""
+    box = coal.Box(0.1, 0.1, 0.1)
+    two = Two(hull(random_hull(np.random.default_rng(corners), corners)), box)
+    assert two.noise() == pytest.approx(Two(box, box).noise(), abs=1e-14)
+
+
 def test_flat_sides_of_single_precision_hulls_are_one_side():
     R = pin.Quaternion(0.3, 0.5, -0.2, 0.7).normalized().matrix()
     points = np.array([np.float32(R @ x) for x in prism(7)], dtype=float)

@@ -1,4 +1,4 @@
-"""Distances of cylinders and boxes: equal to bounds from both sides, found with the supports and signed distances in closed form.
+"""Distances of cylinders and boxes: equal to bounds from both sides, with supports and signed distances in closed form.
 
 Whatever pair of features the engine took, two convex bodies are at least as far apart as along the normal it gives, and
 at most as far as the two points, if these lie on the bodies.
