@@ -24,8 +24,8 @@ namespace {
 
 using Hull = coal::Convex<coal::Triangle>;
 
-// Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less. Between cores that are 2e-5 m apart the
-// rounding of 1e-16 m turns normals by 5e-12 rad, which those of features do not have (geometry/nearest_features.hpp).
+// Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less. Between cores that are 2e-5 m apart
+// the rounding of 1e-16 m turns normals by 5e-12 rad, but not those of features (geometry/nearest_features.hpp).
 constexpr double kRoundingRadius = 1e-5;
 // An ellipsoid has no edges: its core is smaller, so that distances are found to rounding for overlaps up to there.
 constexpr double kEllipsoidRadius = 1e-3;
