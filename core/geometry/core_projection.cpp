@@ -1,14 +1,15 @@
 #include "geometry/core_projection.hpp"
 
 #include <algorithm>
+#include <limits>
 
 namespace contactvi {
 
 namespace {
 
-// Of the size of a polytope: what the rounding of its vertices does to the direction from one of its points to another
-// one, 1e-16 over the 1e-3 m and more between the cores, times its size.
-constexpr double kCoreRounding = 1e-12;
+// Spacings of doubles: the rounding of points of the size of a polytope, and of the direction from one to another,
+// which is that over their distance.
+constexpr double kCoreRounding = 8.0 * std::numeric_limits<double>::epsilon();
 
 }  // namespace
 
@@ -31,13 +32,14 @@ bool CoreProjection::project(const Vec3& x, Vec3& y, Mat3& change) {
 }
 
 bool CoreProjection::is_nearest(const Vec3& x, const Vec3& y) const {
-  const Vec3 m = (x - y).normalized();
+  const double distance = (x - y).norm();
+  const Vec3 m = (x - y) / distance;
   double size = 0.0, beyond = 0.0;
   for (const Vec3& v : shape_->vertices) {
     size = std::max(size, v.cwiseAbs().maxCoeff());
     beyond = std::max(beyond, m.dot(v - y));
   }
-  return shape_->faces.empty() || !shape_->rims.empty() || beyond <= kCoreRounding * size;
+  return shape_->faces.empty() || !shape_->rims.empty() || beyond <= kCoreRounding * size * (1.0 + size / distance);
 }
 
 bool CoreProjection::on_segment(const Vec3& x, Vec3& y, Mat3& change) const {

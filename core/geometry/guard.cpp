@@ -14,10 +14,13 @@ constexpr double kAcross = 1e-9;  // sine of the angle from which on an axis has
 // [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
 // coal's distances (2e-8).
 constexpr double kMeeting = 1e-7;
+// [m] From this distance on the normal that coal's points of polytopes give is as good as that of their features: their
+// rounding of 1e-16 over the distance is 1e-13.
+constexpr double kFarApart = 1e-3;
 // Reference steps: where the bound on the distance of one pair ends a span sooner, the exact distance is found. That
 // costs about as much as a step that looks at guards.
 constexpr double kShortSpan = 8.0;
-constexpr double kRounding = 1e-14;  // of the motion in the world: what its parts are added up to
+constexpr double kWayRounding = 1e-14;  // of the motion in the world: what its parts are added up to
 }  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
@@ -289,7 +292,8 @@ double Guards::find_nearest(int guard, Contact& contact) {
   distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
   contact.body_a = a.body;
   contact.body_b = b.body;
-  if (pair.refined) manifolds_.refine(guard, placements_, contact);
+  if (pair.refined || (!a.is_ball && !b.is_ball && contact.gap < kFarApart))
+    manifolds_.refine(guard, placements_, contact);
   if (has_bounds(a, b)) distance_bounds_.keep(guard, shape_a, shape_b, contact);
   return contact.gap;
 }
@@ -428,7 +432,7 @@ void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, doub
     const int body = geometry.body, base = ways_[k].base;
     const double linear = linear_[body] - linear_[base] - reach.turn[base] * (arm_[body] - arm_[base]);
     reach.geometry[count + k] = std::max(0.0, linear) + (reach.turn[body] - reach.turn[base]) * geometry.reach +
-                                (body == base ? 0.0 : kRounding * reach.geometry[ways_[k].geometry]);
+                                (body == base ? 0.0 : kWayRounding * reach.geometry[ways_[k].geometry]);
   }
 }
 

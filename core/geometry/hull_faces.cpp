@@ -16,6 +16,9 @@ namespace {
 constexpr double kFlatFace = 4e-7;
 // Points closer to each other than this part of the hull's size are one.
 constexpr double kSame = 1e-9;
+// [rad] Faces and sides at a larger angle are not one, however small they are: a vertex where more than three faces
+// meet becomes several in a rounded hull, at most 1e-5 m apart.
+constexpr double kStraight = 1e-3;
 // Writes the corners in order of the convex hull of points that lie in one plane, without those on its sides. `all` is
 // reordered.
 void order_corners(const Points& points, std::vector<int>& all, const Vec3& normal, double flat,
@@ -24,12 +27,13 @@ void order_corners(const Points& points, std::vector<int>& all, const Vec3& norm
   normal.cwiseAbs().minCoeff(&smallest);
   const Vec3 u = normal.cross(Vec3::Unit(smallest)).normalized(), v = normal.cross(u);
   auto at = [&](int i) { return Eigen::Vector2d(points[i].dot(u), points[i].dot(v)); };
-  // A corner lies farther than `flat` to the right of the line between its neighbours.
+  // A corner lies farther than `flat`, or of a short side than a part of it, to the right of the line between its
+  // neighbours.
   auto turns = [&](int i, int j, int k) {
     const Eigen::Vector2d a = at(i), b = at(j), c = at(k);
     const double ex = c[0] - a[0], ey = c[1] - a[1], length = std::hypot(ex, ey);
     const double left = length == 0.0 ? 0.0 : (ex * (b[1] - a[1]) - ey * (b[0] - a[0])) / length;
-    return left < -flat;
+    return left < -std::min(flat, kStraight * std::min((b - a).norm(), (c - b).norm()));
   };
   planar_hull(all, at, turns, hull);
 }
@@ -126,6 +130,33 @@ Vec3 area_of(const Points& points, const coal::Triangle& t) {
   return (points[t[1]] - points[t[0]]).cross(points[t[2]] - points[t[0]]);
 }
 
+// Normals of the triangles at each point.
+class Normals {
+ public:
+  Normals(const Points& points, const std::vector<coal::Triangle>& triangles, const std::vector<int>& same)
+      : first_(points.size() + 1, 0) {
+    for (const coal::Triangle& t : triangles)
+      for (int k = 0; k < 3; ++k) ++first_[same[t[k]] + 1];
+    std::partial_sum(first_.begin(), first_.end(), first_.begin());
+    list_.resize(first_.back());
+    std::vector<int> at(first_.begin(), first_.end() - 1);
+    for (const coal::Triangle& t : triangles) {
+      const Vec3 area = area_of(points, t);
+      for (int k = 0; k < 3; ++k) list_[at[same[t[k]]]++] = area;
+    }
+  }
+  // Whether a triangle at the point has nearly this normal, or the opposite one.
+  bool is_near(int point, const Vec3& normal) const {
+    for (int k = first_[point]; k < first_[point + 1]; ++k)
+      if (normal.cross(list_[k]).squaredNorm() <= kStraight * kStraight * list_[k].squaredNorm()) return true;
+    return false;
+  }
+
+ private:
+  std::vector<int> first_;
+  std::vector<Vec3> list_;  // of point i: from first_[i] on
+};
+
 // The triangles that have a normal, largest first, equal ones in their order.
 std::vector<int> by_size(const Points& points, const std::vector<coal::Triangle>& triangles, double size) {
   std::vector<std::pair<double, int>> sizes;
@@ -180,6 +211,7 @@ HullFaces::HullFaces(const Points& points, const std::vector<coal::Triangle>& tr
 
 Polygons HullFaces::merged(double& roughness) const {
   FaceWalk walk(points_, triangles_, same_);
+  const Normals normals(points_, triangles_, same_);
   Polygons polygons;
   FacesOfPoints known(points_.size());
   std::vector<int> all, corners;
@@ -191,6 +223,7 @@ Polygons HullFaces::merged(double& roughness) const {
     Vec3 normal = area_of(points_, t).normalized();
     if (normal.dot(points_[a] - center_) < 0.0) normal = -normal;
     walk.find(normal, normal.dot(points_[a]), flat, {a, b, c}, all);
+    all.erase(std::remove_if(all.begin(), all.end(), [&](int i) { return !normals.is_near(i, normal); }), all.end());
     order_corners(points_, all, normal, flat, corners);
     if (corners.size() < 3) continue;
     // The plane of the whole polygon (Newell) has less rounding than that of one triangle.

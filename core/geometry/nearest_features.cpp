@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 
 #include "geometry/nearest_on_ellipsoid.hpp"
 
@@ -11,11 +12,18 @@ namespace contactvi {
 namespace {
 
 constexpr double kCertified = 2e-13;  // [m] per metre of the places: distance and bound differ by rounding
+// [m] beyond the border of a face or the end of an edge a point counts as over it. Where the cores are 2e-5 m apart, as
+// they are at contact, the distance is then wrong by 3e-14 m.
+constexpr double kBeyond = 1e-9;
 constexpr double kOnFeature = 1e-5;   // [m] coal's point is this near to a feature that is tried first
 constexpr double kFlat = 1e-3;        // [rad] from here on a disc or a side of a cylinder is tried first
 constexpr double kFacingSide = 0.05;  // [rad] of a face to the normal, for it to be tried
 constexpr double kFlush = 1e-13;      // [m] a side, a disc or an edge whose points differ by less is parallel to a face
-constexpr double kParallel = 1e-12;   // square of the sine between two pieces from which they are parallel
+constexpr double kParallel = 1e-12;   // square of the sine between a circle and another piece that are parallel
+// The same between two lines: where they cross at less, their distance differs by (1e-12 length)^2 / 2e-5 m at most.
+constexpr double kParallelLines = 1e-24;
+constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+constexpr double kNoise = 1e-6;  // [m] per metre of the places: coal's distances are better
 constexpr int kNewton = 12;
 constexpr double kStep = 1e-15;  // of the size: Newton's method has converged
 
@@ -101,6 +109,8 @@ void cylinder_pieces(const ShapeFeatures& o, const Pose& pose, const Vec3& m, co
   Vec3 out = x - rim.center - (x - rim.center).dot(rim.axis) * rim.axis;
   if (!(out.norm() > 1e-3 * rim.radius)) out = m - along * rim.axis;
   if (out.norm() > 0.0) pieces.add(circle_piece(pose, rim, out.normalized()));
+  // Where the side is nearly parallel to the other body the other rim may be the nearest one.
+  if (out.norm() > 0.0 && std::abs(along) < kFlat) pieces.add(circle_piece(pose, o.rims[1 - near], out.normalized()));
   if (disc >= 0 && along > 0.0 && across >= kFlat && across < kFacingSide) pieces.add(plane_piece(pose, o, disc));
   if (std::abs(along) >= kFlat && std::abs(along) < kFacingSide) pieces.add(side);
 }
@@ -113,9 +123,12 @@ void polytope_pieces(const ShapeFeatures& o, const Pose& pose, const Vec3& m, co
   double least = INFINITY;
   static const std::vector<int> kNone, kAxis{0};  // of a sphere, of a capsule
   const bool polytope = !o.faces.empty();
+  const bool at_vertex = (x - v).norm() < kOnFeature;
   for (int e : polytope ? o.vertex_edges[vertex] : o.edges.empty() ? kNone : kAxis) {
     const Vec3 d = x - o.edges[e].start;
-    const double away = (d - d.dot(o.edges[e].direction) * o.edges[e].direction).squaredNorm();
+    // Of several edges at a vertex the one that is nearly parallel to the other body.
+    const double away = at_vertex ? kOnFeature * kOnFeature * std::abs(o.edges[e].direction.dot(m))
+                                  : (d - d.dot(o.edges[e].direction) * o.edges[e].direction).squaredNorm();
     if (away >= least) continue;
     least = away;
     edge = e;
@@ -127,13 +140,13 @@ void polytope_pieces(const ShapeFeatures& o, const Pose& pose, const Vec3& m, co
     most = o.faces[f].normal.dot(m);
     face = f;
   }
-  const bool at_vertex = (x - v).norm() < kOnFeature, at_edge = edge >= 0 && least < kOnFeature * kOnFeature;
+  const bool at_edge = edge >= 0 && least < kOnFeature * kOnFeature;
   if (at_vertex) pieces.add(point);
   if (at_edge) pieces.add(line_piece(pose, o.edges[edge], x));
   if (face >= 0) pieces.add(plane_piece(pose, o, face));
   if (!at_edge && edge >= 0) pieces.add(line_piece(pose, o.edges[edge], x));
   if (!at_vertex) pieces.add(point);
-  if (edge < 0 || at_vertex) return;
+  if (edge < 0 || (at_vertex && std::abs(o.edges[edge].direction.dot(m)) > kFlat)) return;
   // Where an edge is nearly parallel to the other body its other end may be the nearest one.
   const ShapeFeatures::Edge& e = o.edges[edge];
   pieces.add({Piece::kPoint, pose.point(o.vertices[e.v0 == vertex ? e.v1 : e.v0]), Vec3::Zero(), Vec3::Zero(), 0.0, 0.0,
@@ -172,12 +185,31 @@ struct Runner {
     return std::abs(step) <= kStep * (1.0 + (piece->kind == Piece::kLine ? std::abs(s) : 0.0));
   }
 
-  bool is_inside() const { return piece->kind != Piece::kLine || (s >= -kBorder && s <= piece->length + kBorder); }
+  bool is_inside() const { return piece->kind != Piece::kLine || (s >= -kBeyond && s <= piece->length + kBeyond); }
 };
 
-// Newton's method for the nearest points of two pieces that are no planes; false where it does not lead to a minimum
-// inside of both.
-bool nearest_points(const Piece& p, const Piece& q, Vec3& x_a, Vec3& x_b) {
+// The nearest points of two pieces that are no planes, and the unit tangents there; that of a point is zero.
+struct NearestPoints {
+  Vec3 x_a, x_b, t_a, t_b;
+};
+
+// Of two lines. False where they are parallel, or are nearest beyond an end.
+bool nearest_on_lines(const Piece& p, const Piece& q, NearestPoints& found) {
+  const Vec3 cross = p.u.cross(q.u), d = q.origin - p.origin;
+  const double square = cross.squaredNorm();
+  if (!(square > kParallelLines)) return false;
+  Runner a(p), b(q);
+  a.s = d.cross(q.u).dot(cross) / square;
+  b.s = d.cross(p.u).dot(cross) / square;
+  a.place();
+  b.place();
+  found = {a.x, b.x, p.u, q.u};
+  return a.is_inside() && b.is_inside();
+}
+
+// By Newton's method, where it does not lead to a minimum inside of both false.
+bool nearest_points(const Piece& p, const Piece& q, NearestPoints& found) {
+  if (p.kind == Piece::kLine && q.kind == Piece::kLine) return nearest_on_lines(p, q, found);
   Runner a(p), b(q);
   if (p.kind == Piece::kLine && q.kind == Piece::kCircle) a.move(p.u.dot(b.x - a.x));
   if (q.kind == Piece::kLine && p.kind == Piece::kCircle) b.move(q.u.dot(a.x - b.x));
@@ -194,9 +226,25 @@ bool nearest_points(const Piece& p, const Piece& q, Vec3& x_a, Vec3& x_b) {
     a.move(step_a);
     b.move(step_b);
   }
-  x_a = a.x;
-  x_b = b.x;
+  found = {a.x, b.x, a.first.normalized(), b.first.normalized()};
   return a.is_inside() && b.is_inside();
+}
+
+// The common normal of two pieces at their nearest points, directed as d = x_b - x_a. The rounding of the points turns
+// d by `turn` [rad], which is much where they are near to each other: therefore the normal is made orthogonal to the
+// tangents, whose rounding does not depend on the distance. Of tangents that are nearly parallel, the part of one
+// across the other is worse than d itself from a sine of kEpsilon / turn on.
+Vec3 common_normal(const NearestPoints& at, double turn) {
+  Vec3 n = at.x_b - at.x_a;
+  const bool has_a = !at.t_a.isZero(0.0);
+  n -= n.dot(at.t_a) * at.t_a;
+  Vec3 across = at.t_b - at.t_b.dot(at.t_a) * at.t_a;
+  const double sine = across.norm();
+  if (sine * turn > kEpsilon || (sine > 0.0 && !has_a)) {
+    across /= sine;
+    n -= n.dot(across) * across;
+  }
+  return n.normalized();
 }
 
 // The distance of the cores along the unit vector n from a to b: a lower bound on their distance.
@@ -211,7 +259,7 @@ double along_normal(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatu
 bool point_over(const ShapeFeatures& plane, const Pose& plane_pose, int face, const ShapeFeatures& other,
                 const Pose& other_pose, const Vec3& n_W, const Vec3& near_W, Vec3& x_W) {
   const ShapeFeatures::Face& f = plane.faces[face];
-  auto is_over = [&](const Vec3& x) { return outside_of(plane, f, plane_pose.into(x)) <= kBorder; };
+  auto is_over = [&](const Vec3& x) { return outside_of(plane, f, plane_pose.into(x)) <= kBeyond; };
   const Vec3 down = into(other_pose, -n_W), lowest = support(other, down);
   x_W = other_pose.point(lowest);
   if (is_over(x_W)) return true;
@@ -248,6 +296,26 @@ bool point_over(const ShapeFeatures& plane, const Pose& plane_pose, int face, co
   return is_over(x_W);
 }
 
+// The candidates with the least gaps, ascending.
+class Lowest final : public CandidateSink {
+ public:
+  explicit Lowest(double most) { limit = most; }
+  void add(const Candidate& c) override {
+    int k = std::min(count_, kMost - 1);
+    if (count_ == kMost && !(c.gap < list_[k].gap)) return;
+    for (; k > 0 && c.gap < list_[k - 1].gap; --k) list_[k] = list_[k - 1];
+    list_[k] = c;
+    count_ = std::min(count_ + 1, kMost);
+  }
+  int count() const { return count_; }
+  const Candidate& operator[](int k) const { return list_[k]; }
+
+ private:
+  static constexpr int kMost = 4;
+  std::array<Candidate, kMost> list_{};
+  int count_ = 0;
+};
+
 // One pair with coal's contact, and the attempts to find its nearest features.
 class Refinement {
  public:
@@ -255,7 +323,7 @@ class Refinement {
       : a_{&a, &pose_a, contact.point_a - a.radius * contact.normal, {}},
         b_{&b, &pose_b, contact.point_b + b.radius * contact.normal, {}},
         contact_(&contact),
-        rounding_(kCertified * (1.0 + contact.point_a.cwiseAbs().maxCoeff())) {
+        size_(1.0 + contact.point_a.cwiseAbs().maxCoeff()) {
     add_pieces(a_, contact.normal);
     add_pieces(b_, -contact.normal);
   }
@@ -265,7 +333,7 @@ class Refinement {
     for (int sum = 0; sum <= last; ++sum)
       for (int i = std::max(0, sum - b_.pieces.count + 1); i <= sum && i < a_.pieces.count; ++i)
         if (try_pieces(a_.pieces.list[i], b_.pieces.list[sum - i])) return true;
-    return try_borders(a_, b_) || try_borders(b_, a_);
+    return try_borders(a_, b_) || try_borders(b_, a_) || try_candidates();
   }
 
  private:
@@ -302,13 +370,13 @@ class Refinement {
   }
 
   bool try_curves(const Piece& p, const Piece& q) {
-    Vec3 x_a, x_b;
-    if (!nearest_points(p, q, x_a, x_b)) return false;
-    Vec3 n = x_b - x_a;
-    const double distance = n.norm();
-    if (!(distance > 0.0)) return false;
-    n /= distance;
-    return accept(n, distance - p.swept - q.swept, x_a + p.swept * n, x_b - q.swept * n);
+    NearestPoints at;
+    if (!nearest_points(p, q, at)) return false;
+    const Vec3 d = at.x_b - at.x_a;
+    const double length = d.norm();
+    if (!(length > 0.0)) return false;
+    const Vec3 n = common_normal(at, kEpsilon * size_ / length);
+    return accept(n, n.dot(d) - p.swept - q.swept, at.x_a + p.swept * n, at.x_b - q.swept * n);
   }
 
   // Where a side, an edge or a disc lies flat over a face but for rounding, and its lowest point is not over the face,
@@ -367,11 +435,52 @@ class Refinement {
     second.angle = cosine * middle + sine * across;
   }
 
+  // Where two faces are nearly flush the nearest points may be anywhere on both, far from coal's: of all vertices and
+  // crossings of edges over them the lowest.
+  bool try_candidates() {
+    const Sides sides{face_of(a_), face_of(b_), contact_->normal};
+    if (sides.a < 0 && sides.b < 0) return false;
+    const PairView v{a_.shape, b_.shape, *a_.pose, *b_.pose, contact_->body_a, contact_->body_b};
+    Lowest lowest(contact_->gap + kNoise);
+    EdgeLists edges;
+    list_candidates(v, sides, false, edges, lowest);
+    for (int k = 0; k < lowest.count(); ++k)
+      if (try_candidate(lowest[k])) return true;
+    return false;
+  }
+
+  bool try_candidate(const Candidate& c) {
+    const Feature kind = feature_kind(c.feature);
+    if (is_end(kind) || is_rim_line(kind)) return false;
+    const bool on_b = feature_on_b(c.feature);
+    const double distance = c.gap + a_.shape->radius + b_.shape->radius;
+    if (kind == Feature::kEdges) {
+      const ShapeFeatures::Edge &e = a_.shape->edges[feature_i(c.feature)], &f = b_.shape->edges[feature_j(c.feature)];
+      Vec3 n = (a_.pose->R * e.direction).cross(b_.pose->R * f.direction).normalized();
+      if (n.dot(contact_->normal) < 0.0) n = -n;
+      const double between = distance + e.radius + f.radius;
+      return accept(n, distance, c.x_W + (e.radius - 0.5 * between) * n, c.x_W + (0.5 * between - f.radius) * n);
+    }
+    const Body& plane = on_b ? a_ : b_;
+    const bool is_side = kind == Feature::kRimSideA || kind == Feature::kRimSideB;
+    const int face = is_side ? plane.shape->ring_face[feature_j(c.feature) / 2] : feature_j(c.feature);
+    const Vec3 n = (on_b ? 1.0 : -1.0) * (plane.pose->R * plane.shape->faces[face].normal);
+    return on_b ? accept(n, distance, c.x_W - distance * n, c.x_W) : accept(n, distance, c.x_W, c.x_W + distance * n);
+  }
+
+  static int face_of(const Body& body) {
+    for (int i = 0; i < body.pieces.count; ++i)
+      if (body.pieces.list[i].kind == Piece::kPlane) return body.pieces.list[i].face;
+    return -1;
+  }
+
   // Takes the answer if the bound along its normal is its distance to rounding.
   bool accept(const Vec3& n, double distance, const Vec3& x_a, const Vec3& x_b) {
-    if (!(distance > 0.0) || distance - along_normal(*a_.shape, *a_.pose, *b_.shape, *b_.pose, n) > rounding_)
+    const double gap = distance - a_.shape->radius - b_.shape->radius;
+    if (!(distance > 0.0) || std::abs(gap - contact_->gap) > kNoise * size_ ||
+        distance - along_normal(*a_.shape, *a_.pose, *b_.shape, *b_.pose, n) > kCertified * size_)
       return false;
-    contact_->gap = distance - a_.shape->radius - b_.shape->radius;
+    contact_->gap = gap;
     contact_->normal = n;
     contact_->point_a = x_a + a_.shape->radius * n;
     contact_->point_b = x_b - b_.shape->radius * n;
@@ -380,7 +489,7 @@ class Refinement {
 
   Body a_, b_;
   Contact* contact_;
-  double rounding_;
+  double size_;  // of the places of points, 1 m at least
 };
 
 }  // namespace
@@ -400,6 +509,9 @@ bool refine_nearest(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatu
                     Contact& contact) {
   if (a.is_unbounded() || b.is_unbounded() || !contact.normal.allFinite()) return false;
   if (a.ellipsoid || b.ellipsoid) return refine_on_ellipsoid(a, pose_a, b, pose_b, contact);
+  // The faces of a rough hull are not quite its own: of polytopes coal's distance is the better one.
+  const bool polytopes = !is_cylinder(a) && !is_cylinder(b);
+  if (polytopes && a.roughness + b.roughness > kFlush) return false;
   return Refinement(a, pose_a, b, pose_b, contact).run();
 }
 

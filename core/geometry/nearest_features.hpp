@@ -1,11 +1,12 @@
 // The nearest features of two shapes from the nearest points that coal has found, to rounding.
 //
-// Where a shape is curved GJK iterates: distances of cylinders are wrong by up to 2e-8 m near contact (of polytopes by
-// 1e-9 m). Its points tell which features are nearest: a vertex, an edge, a face, the rim or the side of a cylinder.
-// The nearest points of two features are known in closed form or by Newton's method. Every answer is checked by a
-// bound that does not depend on how it was found: two convex shapes are at least as far from each other as along any
-// unit vector n (Boyd, Vandenberghe, "Convex Optimization", 2004, section 8.2.1), and at most as far as two of their
-// points. Pairs with an ellipsoid have equations of their own (nearest_on_ellipsoid.hpp).
+// Where a shape is curved GJK iterates: distances of cylinders are wrong by up to 2e-8 m near contact, of polytopes
+// by 1e-9 m. And normals that are differences of points lose digits as the cores come near to each other. Its points
+// tell which features are nearest: a vertex, an edge, a face, the rim or the side of a cylinder. The nearest points of
+// two features are known in closed form or by Newton's method. Every answer is checked by a bound that does not depend
+// on how it was found: two convex shapes are at least as far from each other as along any unit vector n (Boyd,
+// Vandenberghe, "Convex Optimization", 2004, section 8.2.1), and at most as far as two of their points. Pairs with an
+// ellipsoid have equations of their own (nearest_on_ellipsoid.hpp).
 #pragma once
 
 #include "geometry/candidates.hpp"

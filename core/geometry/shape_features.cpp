@@ -17,6 +17,9 @@ namespace {
 // Neighbouring faces at a smaller angle [rad] belong to one flat side.
 constexpr double kPlateAngle = 1e-4;
 
+// Of the size of a hull: flatter faces are planes but for rounding.
+constexpr double kRounding = 1e-13;
+
 // The largest number of edges and of corners of faces that a feature number (contact_features.hpp) can hold.
 constexpr std::size_t kMostEdges = 1u << 19;
 
@@ -125,6 +128,36 @@ const Hull& hull_of(const coal::CollisionGeometry& shape) {
   return *hull;
 }
 
+// The edges of the triangles, for a walk over the vertices of faces that are flat but for their roughness: those of the
+// faces alone may leave a vertex without a farther neighbour that is not the farthest one. A point that is no vertex is
+// joined with its nearest neighbour.
+void add_ends_of_triangles(const ShapeFeatures& o, const Points& points, const std::vector<coal::Triangle>& triangles,
+                           std::vector<std::array<int, 2>>& ends) {
+  std::vector<int> vertex(points.size(), -1);
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < points.size() && next < o.vertices.size(); ++i)
+    if (points[i] == o.vertices[next]) vertex[i] = static_cast<int>(next++);
+  for (bool found = true; found;) {
+    found = false;
+    const std::vector<int> before = vertex;
+    std::vector<double> least(points.size(), std::numeric_limits<double>::infinity());
+    for (const coal::Triangle& t : triangles)
+      for (int k = 0; k < 6; ++k) {
+        const auto i = t[k % 3], j = t[(k + (k < 3 ? 1 : 2)) % 3];
+        const double square = (points[i] - points[j]).squaredNorm();
+        if (before[i] >= 0 || before[j] < 0 || !(square < least[i])) continue;
+        least[i] = square;
+        vertex[i] = before[j];
+        found = true;
+      }
+  }
+  for (const coal::Triangle& t : triangles)
+    for (int k = 0; k < 3; ++k) {
+      const int i = vertex[t[k]], j = vertex[t[(k + 1) % 3]];
+      if (i < j && i >= 0) ends.push_back({i, j});
+    }
+}
+
 void add_hull(ShapeFeatures& o, const Geometry& g, const Hull& hull, bool meets_ellipsoid) {
   Points points;
   points.reserve(hull.num_points);
@@ -134,6 +167,7 @@ void add_hull(ShapeFeatures& o, const Geometry& g, const Hull& hull, bool meets_
   std::vector<std::array<int, 2>> ends;
   ends.reserve(o.edges.size());
   for (const ShapeFeatures::Edge& e : o.edges) ends.push_back({e.v0, e.v1});
+  if (o.roughness > kRounding * g.radius) add_ends_of_triangles(o, points, *hull.polygons, ends);
   o.walk = HullWalk(o.vertices, ends, o.roughness);
   if (!meets_ellipsoid) return;
   auto triangles = std::make_shared<ShapeFeatures>();

@@ -32,7 +32,7 @@ class RoundedHulls {
 };
 
 // The shape shrunk by at most radius, to be swept by a sphere of that radius; null for shapes that need none. Lowers
-// radius where the shape is too thin for it.
+// radius where the shape is too thin for it, and sets that of an ellipsoid, which has no edges.
 std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius);
 
 // Makes the rounded shapes of these geometries, in several threads, one for those that share their sharp shape. `known`

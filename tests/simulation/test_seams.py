@@ -14,6 +14,7 @@ import pytest
 import contactvi as cvi
 
 TILES, LENGTH = 10, 0.2  # [m]
+RADIUS = 0.05  # [m] of what rolls
 
 
 def slide(kind: str, tiled: bool, friction: float, dt: float) -> cvi.Trajectory:
@@ -31,13 +32,16 @@ def slide(kind: str, tiled: bool, friction: float, dt: float) -> cvi.Trajectory:
         scene.add_box("body", (0.3, 0.2, 0.1), placement=at(0.237, 0.05))
     elif kind == "turned box":
         scene.add_box("body", (0.13, 0.07, 0.1), placement=at(0.237, 0.05, (0.0, 0.0, 0.4)))
+    elif kind == "cylinder":
+        scene.add_cylinder("body", RADIUS, 0.25, placement=at(0.237, RADIUS, (0.5 * np.pi, 0.0, 0.0)))
     elif kind == "capsule":
         scene.add_capsule("body", 0.05, 0.25, placement=at(0.237, 0.05, (0.0, 0.5 * np.pi, 0.0)))
     else:
         scene.add_sphere("body", 0.05, placement=at(0.237, 0.05))
     scene.set_contact(friction=friction, restitution=0.0)
     q = scene.neutral()
-    v = scene.velocity({"body": turn @ np.array([1.5, 0.0, 0.0])}, q)
+    spin = turn @ np.array([0.0, 1.5 / RADIUS, 0.0]) if kind == "cylinder" else np.zeros(3)
+    v = scene.velocity({"body": (turn @ np.array([1.5, 0.0, 0.0]), spin)}, q)
     return cvi.simulate(scene, q, v, duration=0.7, dt=dt, start="separate")
 
 
@@ -52,3 +56,16 @@ def test_a_body_slides_over_tiles_as_over_a_plate(kind: str, bound: float, frict
     assert np.abs(plate.v[-1] - tiles.v[-1]).max() < 10.0 * bound
     assert len({pair for change in tiles.contact_changes for pair in change.pair if pair != "body"}) > 4
     assert max((-event.gamma_minus for event in tiles.events if event.time > 1e-3), default=0.0) < 1e-3
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_a_cylinder_rolls_over_seams_as_over_a_plate(friction: float):
+    """With its axis along the seam it stands over the groove between two edges of radius r, r^2 / 2 R deep."""
+    plate, tiles = (slide("cylinder", tiled, friction, 2e-3) for tiled in (False, True))
+    r = 1e-5
+    assert plate.status.ok
+    assert tiles.status.ok
+    assert np.abs(plate.q[-1] - tiles.q[-1]).max() < 1e-7
+    assert np.abs(plate.v[-1] - tiles.v[-1]).max() < 1e-6
+    # From one edge to the next its centre moves along a path that turns by 2 r / (R + r), as its speed does.
+    assert max((-event.gamma_minus for event in tiles.events if event.time > 1e-3), default=0.0) < 3.0 * r / RADIUS

@@ -75,6 +75,7 @@ def box_faces() -> np.ndarray:
     return np.array([np.r_[s * np.eye(3)[i], -BOX[i]] for i in range(3) for s in (-1.0, 1.0)])
 
 
+CORE = 1e-3  # [m] by which the core of an ellipsoid is smaller
 # name -> coal's shape, its core
 OTHERS: dict[str, tuple[Callable[[], coal.CollisionGeometry], Core]] = {
     "sphere": (lambda: coal.Sphere(SPHERE), Core(SPHERE, lambda m: 0.0, lambda x: float(np.linalg.norm(x)))),
@@ -89,7 +90,7 @@ OTHERS: dict[str, tuple[Callable[[], coal.CollisionGeometry], Core]] = {
     "box": (lambda: coal.Box(*(2 * BOX)), polytope(box_faces(), ROUNDING)),
     "cylinder": (lambda: coal.Cylinder(CYLINDER[0], 2 * CYLINDER[1]), cylinder(ROUNDING)),
     "hull": (lambda: hull(POINTS), polytope(ConvexHull(POINTS).equations, ROUNDING)),
-    "ellipsoid": (lambda: coal.Ellipsoid(0.07, 0.03, 0.1), ellipsoid(np.array([0.07, 0.03, 0.1]), ROUNDING)),
+    "ellipsoid": (lambda: coal.Ellipsoid(0.07, 0.03, 0.1), ellipsoid(np.array([0.07, 0.03, 0.1]), CORE)),
 }
 UNROUNDED = ("sphere", "capsule")  # against these an ellipsoid is taken as it is
 
@@ -126,7 +127,7 @@ def at_a_gap(two: Two, a: pin.SE3, R: np.ndarray, direction: np.ndarray, gap: fl
 def test_gaps_and_normals_are_exact(other, halves):
     half = np.array(HALVES[halves])
     make, core = OTHERS[other]
-    cores = [ellipsoid(half, 0.0 if other in UNROUNDED else ROUNDING), core]
+    cores = [ellipsoid(half, 0.0 if other in UNROUNDED else CORE), core]
     rng = np.random.default_rng(1)
     errors = []
     for swapped in (False, True):
@@ -162,7 +163,7 @@ def test_the_gap_has_the_rows_as_gradient(other):
 def test_an_ellipsoid_rolls_over_the_borders_of_a_hull():
     """The vertices of rounded hulls miss the planes of their faces by some rounding; the hull counts as it is."""
     half = np.array(HALVES["any"])
-    two, cores = Two(coal.Ellipsoid(*half), OTHERS["hull"][0]()), [ellipsoid(half, ROUNDING), OTHERS["hull"][1]]
+    two, cores = Two(coal.Ellipsoid(*half), OTHERS["hull"][0]()), [ellipsoid(half, CORE), OTHERS["hull"][1]]
     rng = np.random.default_rng(1)
     a, R = random_pose(rng), random_pose(rng).rotation
     b = at_a_gap(two, a, R, np.array([0.0, 0.6, 0.8]), 0.02)
