@@ -20,7 +20,7 @@ constexpr double kFarApart = 1e-3;
 // Reference steps: where the bound on the distance of one pair ends a span sooner, the exact distance is found. That
 // costs about as much as a step that looks at guards.
 constexpr double kShortSpan = 8.0;
-constexpr double kWayRounding = 1e-14;  // of the motion in the world: what its parts are added up to
+constexpr double kMotionRounding = 1e-14;  // of the motion in the world: what its parts are added up to
 }  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
@@ -432,7 +432,7 @@ void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, doub
     const int body = geometry.body, base = ways_[k].base;
     const double linear = linear_[body] - linear_[base] - reach.turn[base] * (arm_[body] - arm_[base]);
     reach.geometry[count + k] = std::max(0.0, linear) + (reach.turn[body] - reach.turn[base]) * geometry.reach +
-                                (body == base ? 0.0 : kWayRounding * reach.geometry[ways_[k].geometry]);
+                                (body == base ? 0.0 : kMotionRounding * reach.geometry[ways_[k].geometry]);
   }
 }
 

@@ -7,7 +7,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "run/simulator.hpp"
 
@@ -26,7 +25,6 @@ constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a s
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
-constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
 
 bool has_adhesion(const Scene& scene) {
   return std::any_of(scene.laws.begin(), scene.laws.end(), [](const ContactLaw& law) { return law.pull.given(); });
@@ -36,7 +34,7 @@ bool has_adhesion(const Scene& scene) {
 // one of these, and it is worth the less the more there are which the same scene but for rounding might have taken.
 double share_of_burst(double points) {
   double share = 1.0;
-  for (; points > kFew && share > kEpsilon; --points) share /= points;
+  for (; points > kFew && share > 0.0; --points) share /= points;
   return share;
 }
 
