@@ -37,7 +37,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], object]
 
 TOLERANCE = 1e-7  # relative: what fourth-order differences in double precision reach where nothing amplifies errors
-SIZES = tuple(1e-2 * 0.5**k for k in range(14))  # of the steps of differences, down to 1.2e-6 of a column's scale
+# Of the steps of differences, down to 5e-9 of a column's scale: edges of shapes are rounded by 1e-5 m, and what touches
+# them is smooth over a part of that alone.
+SIZES = tuple(1e-2 * 0.5**k for k in range(22))
 _PAST = 3  # sizes without improvement after which rounding has taken over
 _CENTRAL = {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
 _ONE_SIDED = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}  # where a coefficient has no room on one side
