@@ -30,9 +30,9 @@ bool has_adhesion(const Scene& scene) {
   return std::any_of(scene.laws.begin(), scene.laws.end(), [](const ContactLaw& law) { return law.pull.given(); });
 }
 
-// Of what a burst of few points may cost, that of so many. Each of n points is open or closed, which makes 2^n sets: what
-// locating them tells is one of these, and worth the less the more there are that the same scene but for rounding might
-// have taken.
+// Of what a burst of few points may cost, that of so many. Each of n points is open or closed, which makes 2^n sets:
+// what locating them tells is one of these, and worth the less the more there are that the same scene but for rounding
+// might have taken.
 double share_of_burst(double points) { return points > kFew ? std::exp2(kFew - points) : 1.0; }
 
 }  // namespace
