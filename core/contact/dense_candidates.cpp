@@ -231,6 +231,10 @@ void DenseCandidates::find_passages(const VecX& q1) {
   }
 }
 
+double DenseCandidates::noise(int guard) const {
+  return scene_->is_pair(guard) ? std::max(kGapPromised, guards_->depth_tolerance(guard)) : kLimitPromised;
+}
+
 bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const std::vector<DenseImpulse>& impulses) {
   points_.clear();
   laws_.clear();
@@ -245,8 +249,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
     Contact witness;
     const double gap = guards_->evaluate_witness(near.guard, witness);
     const bool pair = scene_->is_pair(near.guard);
-    // Features of a rough hull overlap by less than its distance does, and shorter steps do not change that.
-    const double noise = pair ? std::max(kGapPromised, guards_->depth_tolerance(near.guard)) : kLimitPromised;
+    const double noise = this->noise(near.guard);
     if (gap < gap_) {
       gap_ = gap;
       deepest_ = near.guard;

@@ -77,6 +77,9 @@ class DenseCandidates {
   bool passes_through() const { return passes_; }
   // How what overlaps may be left changes with the length of the step [m/s].
   double allowed_rate() const;
+  // [m; rad] Error of the gap of a guard: features of a rough hull overlap by less than its distance does, and shorter
+  // steps do not change that.
+  double noise(int guard) const;
   // Whether no gap there is below what is allowed by more than the error of its distance.
   bool keeps_gaps() const { return excess_ >= -gap_noise_; }
 

@@ -483,11 +483,13 @@ void DenseStep::expand(double bound_energy) {
 // start by rounding, which changes the energy by force times gap; and what the step conserves differs from H. What the
 // solver leaves of Coulomb's law may not gain anything.
 double DenseStep::contacts_error(const Energy& before, const Energy& free, const Energy& middle) const {
-  double lifts = 0.0;
+  double lifts = 0.0, most_noise = 0.0;
   bool impact = false;
   const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
   for (const DenseContact& c : contacts()) {
-    lifts += kBothEnds * c.position.norm() * (gap_solved_ + std::clamp(-c.at0.gap, 0.0, DenseCandidates::kGapPromised));
+    const double noise = std::max(DenseCandidates::kGapPromised, candidates_.noise(c.point.guard));
+    most_noise = std::max(most_noise, noise);
+    lifts += kBothEnds * c.position.norm() * (gap_solved_ + std::clamp(-c.at0.gap, 0.0, noise));
     impact |= c.position[0] > 0.0 && c.closing < -fast;
   }
   const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);
@@ -499,7 +501,7 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
   double forces = 0.0;
   for (const Joint& joint : scene_->tree.joints) forces += joint.mass * scene_->tree.gravity.norm();
   for (const DenseImpulse& last : memory_.impulses) forces += last.position_force.norm() + last.velocity_force.norm();
-  const double lifted = kBothEnds * forces * (gap_solved_ + DenseCandidates::kGapPromised) + kLifted * before.kinetic;
+  const double lifted = kBothEnds * forces * (gap_solved_ + most_noise) + kLifted * before.kinetic;
   const double exchanged = std::abs(integrator_.input_work()) + integrator_.damping_loss();
   return std::min(lifts / h_, lifted) + std::min(curved, smooth) + kWorkShare * exchanged +
          kEnergyShare * before.kinetic + turning_error(scene_->tree, v_, h_, before, free, middle);
