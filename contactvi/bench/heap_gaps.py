@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -113,6 +114,13 @@ def _support(body: Body, direction: Array) -> float:
     return radius * math.hypot(direction[0], direction[1]) + half * along
 
 
+def _box(half: list[float]) -> Any:
+    """Return the hull of eight corners: coal's box grows by 1e-10 of its size along directions with a zero in them."""
+    corners = coal.StdVec_Vec3s()
+    corners.extend([np.array(signs) * half for signs in itertools.product((-1.0, 1.0), repeat=3)])
+    return coal.Convex.convexHull(corners, True, "Qt")
+
+
 def _coal_shape(body: Body, rounding: float = 0.0, share: float = 0.0) -> Any:
     """Return the body's shape of coal, box and cylinder shrunk and swept by a sphere."""
     if body.kind == "sphere":
@@ -122,6 +130,6 @@ def _coal_shape(body: Body, rounding: float = 0.0, share: float = 0.0) -> Any:
     half = [0.5 * x for x in body.size] if body.kind == "box" else [body.size[0], 0.5 * body.size[1]]
     r = min(rounding, share * min(half))
     inner = [x - r for x in half]
-    shape = coal.Box(*(2.0 * x for x in inner)) if body.kind == "box" else coal.Cylinder(inner[0], 2.0 * inner[1])
+    shape = _box(inner) if body.kind == "box" else coal.Cylinder(inner[0], 2.0 * inner[1])
     shape.setSweptSphereRadius(r)
     return shape

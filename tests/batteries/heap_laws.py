@@ -25,7 +25,7 @@ from contactvi.bench.heaps import Heap, rotation_of
 
 GRAVITY = 9.81
 GAP = 1e-9  # [m] that shapes may overlap
-NOISE = 1e-9  # [m] of coal's distances near contact where GJK iterates towards a cylinder; else 1e-11
+NOISE = 1e-9  # [m] of coal's distances near contact where GJK iterates towards a cylinder; else 1e-14
 ROUNDING = 1e-12  # of the largest energy
 IMPULSES = ("impulse pulls", "cone")
 
