@@ -10,8 +10,6 @@
 
 namespace contactvi {
 
-namespace {}  // namespace
-
 // The rows of constraints and joint friction at q; the guards are placed there.
 // motions: those of the time t that are known.
 void ContactStep::constraint_node(const VecCRef& q, double t, Node& node, const MotionValues& motions) {

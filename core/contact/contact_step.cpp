@@ -20,8 +20,8 @@ constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking 
 // other.
 constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
 constexpr double kAcceptShare = 1e-2;  // of the last change of the velocities, relative: in between
-constexpr double kAgreeFirst = 1e-4,
-                 kAgreeSettled = 1e-7;             // relative disagreement of dependent rows: at first, when settled
+// Relative disagreement of dependent rows: at first, when settled.
+constexpr double kAgreeFirst = 1e-4, kAgreeSettled = 1e-7;
 constexpr double kShortRim = 1e-9, kShort = 1e-5;  // of a nominal step; see counts_by_rate
 constexpr double kStalled = 1e3;                   // of the convergence limit: iterations that stall below it end
 constexpr int kIdle = 4;                           // iterations without gain that count as a stall

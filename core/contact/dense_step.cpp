@@ -281,7 +281,7 @@ void DenseStep::set_friction() {
     if (c.rows() == 1 || !scene_->friction_varies(guard)) continue;
     const Eigen::Vector2d w(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_));
     const double slip = c.frame(false).slip(w + c.drift0).norm();
-    const bool sticks = slip <= DenseStepRecord::kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+    const bool sticks = slip <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
     c.mu = sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, slip);
     rows_.problem().contacts[i].mu = c.mu;
   }

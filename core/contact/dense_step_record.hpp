@@ -11,8 +11,6 @@
 namespace contactvi {
 
 struct DenseStepRecord {
-  // Of the speeds: a slip at the start below it is rest, with the friction of rest.
-  static constexpr double kStill = 1e-11;
   // A point that had an impulse in the step.
   struct Contact {
     ContactPoint point, law;  // as it was found, and as the step saw it

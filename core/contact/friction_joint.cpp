@@ -6,8 +6,6 @@
 
 namespace contactvi {
 
-namespace {}  // namespace
-
 void settle_joints(std::vector<FrictionJoint>& joints, const VecX& q, const VecX& v) {
   const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
   for (FrictionJoint& joint : joints) {

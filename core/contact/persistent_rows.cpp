@@ -8,8 +8,6 @@
 
 namespace contactvi {
 
-namespace {}  // namespace
-
 void PersistentRows::set(const std::vector<PersistentContact>& contacts, const std::vector<FrictionJoint>& joints,
                          int places) {
   contacts_ = &contacts;

@@ -184,7 +184,7 @@ void DenseStepTangent::take_coefficients() {
     const Eigen::Array2d shares = start_[i].contact.shares();
     const Eigen::Vector2d w = s.W0.middleCols<2>(c.row + 1).transpose() * v0_ + own0_.segment<2>(c.row + 1);
     const Eigen::Vector2d slip = w.array() / shares;
-    const bool sticks = slip.norm() <= DenseStepRecord::kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+    const bool sticks = slip.norm() <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
     found.own_mu = takes_friction(*scene_, guard, sticks);
     // What carries a load from the last step sticks at its end along all directions.
     const auto lasts = [&](const DenseStepRecord::Round& round) { return round.lasting[i] != 0; };

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "base/tolerances.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -42,7 +44,7 @@ void HeldEnd::take(HeldNode& node, const HeldStepRecord& step, const PersistentR
 void HeldEnd::take_rests(const PersistentRows& phase) {
   const HeldStepRecord& s = *record_;
   const auto contacts = static_cast<int>(s.contacts.size()), all = contacts + static_cast<int>(s.joints.size());
-  const double still = kStillSlip * (1.0 + s.v1.cwiseAbs().maxCoeff());
+  const double still = kStill * (1.0 + s.v1.cwiseAbs().maxCoeff());
   const VecX slips = node_->slips(s.v1), slip_rates = node_->slip_rates();
   std::vector<VecX> speeds, changes;
   std::vector<double> rates;

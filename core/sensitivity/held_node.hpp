@@ -24,9 +24,6 @@
 
 namespace contactvi {
 
-// Of the speeds: slip below it is rest, and has no direction.
-constexpr double kStillSlip = 1e-11;
-
 class HeldNode {
  public:
   explicit HeldNode(const Scene& scene);

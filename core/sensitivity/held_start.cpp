@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "base/tolerances.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -35,7 +37,7 @@ void HeldStart::take(HeldNode& node, const HeldStepRecord& s, PersistentRows& ph
   for (std::size_t i = 0; i < s.contacts.size(); ++i)
     if (const int j = phase.slide(i); j >= 0) guards_[static_cast<std::size_t>(j)] = s.contacts[i].point.guard;
   std::vector<int> begins;
-  const double still = kStillSlip * (1.0 + v0_.cwiseAbs().maxCoeff());
+  const double still = kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
   for (Eigen::Index j = 0; j < slides; ++j)
     if (std::abs(slips_[j]) <= still) begins.push_back(static_cast<int>(j));
   if (slip_start_.take(s, phase, std::move(begins), tau, servo)) return;
@@ -74,7 +76,7 @@ void HeldStart::meet_moved(int guard) const {
 void HeldStart::check(const ContactStepDirection& d) {
   const HeldStepRecord& s = *record_;
   const VecX dq = d.q.size() > 0 ? d.q : VecX(VecX::Zero(v0_.size())), dv = velocity_change(d);
-  const double still = kStillSlip * (1.0 + v0_.cwiseAbs().maxCoeff());
+  const double still = kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
   const double q = std::max(d.size_q, dq.cwiseAbs().maxCoeff()),
                p = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
   const VecX size = VecX::Constant(dv.size(), q / s.h) + p * inverse_.cwiseAbs().rowwise().sum();
