@@ -746,6 +746,16 @@ class KeptContactSteps:
         Return the contact steps, impacts of several points, dense steps and smooth steps with rows as numbers, for files, and of the first and the last what their laws of contact need.
         """
 
+class StillRows:
+    """Contacts of what lies still, the same in every step of a span."""
+
+    def columns(self, scene: Scene) -> dict[str, Any] | None:
+        """
+        Return the columns of one step; its start, length and number are of no account.
+        """
+
+    def __len__(self) -> int: ...
+
 class Snapshot:
     """All that the rest of a run depends on."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from contactvi.records.inputs import GrowingInputs
 from contactvi.records.point_numbers import PointNumbers
 from contactvi.records.recent import Recent
 from contactvi.records.rows import joined
+from contactvi.records.still import Span, WithStill
 from contactvi.records.work import GrowingForces
 from contactvi.scene.separation import Separation
 from contactvi.simulation.messages import describe
@@ -56,6 +57,7 @@ class Record:
         self.contacts: list[Columns] = []
         self.changes: list[Columns] = []
         self.points = PointNumbers()
+        self._still: tuple[_core.StillRows, Columns] | None = None  # the last ones, and their columns
         self.phases: list[Columns] = []
         self.dense_steps: list[Columns] = []
         self.adaptive_steps: Columns | None = None
@@ -86,6 +88,9 @@ class Record:
         contacts, changes = result["contacts"], result["changes"]
         if contacts is not None or changes is not None:
             contacts, changes = self.points.number(contacts, changes)
+        if (still := result["still"]) is not None:
+            spans = [Span(self._still_columns(rows), n, count, t0, dt, h) for rows, n, count, t0, dt, h in still]
+            contacts = WithStill(contacts, spans)
         if contacts is not None:
             self.contacts.append(contacts)
         if changes is not None:
@@ -110,6 +115,13 @@ class Record:
         if last_steps and sum(map(len, self.t)) > 2 * (last_steps + BLOCK):
             self.keep_last(last_steps)
         return status
+
+    def _still_columns(self, rows: _core.StillRows) -> Columns:
+        """Return the columns of contacts of what lies still, with numbers of the points."""
+        if self._still is None or self._still[0] is not rows:
+            numbered, _ = self.points.number(rows.columns(self.compiled.core), None)
+            self._still = rows, cast("Columns", numbered)
+        return self._still[1]
 
     def _kept(self, t: Array) -> slice | NDArray[np.bool_]:
         """Return which of the nodes t (n,) [s] of a result are new and wanted: those from some place on, or a mask."""
@@ -219,9 +231,9 @@ class Record:
     def contacts_at(self, now: float) -> contacts.ContactLog:
         """Return the persistent contacts at the end of the last step, which is now [s]; one row per point."""
         slack = ROUNDING * self.options.fixed_dt
+        last = [part.last_steps() if isinstance(part, WithStill) else part for part in self.contacts[-1:]]
         log = self._contact_log([
-            _rows(part, (np.abs(part["t"] + part["h"] - now) <= slack) & (part["h"] > 0.0))
-            for part in self.contacts[-1:]
+            _rows(part, (np.abs(part["t"] + part["h"] - now) <= slack) & (part["h"] > 0.0)) for part in last
         ])  # fmt: skip
         changes = self.change_log(max(0, len(self.changes) - 1))
         released = (changes.array("change") == Change.RELEASE) & (changes.array("time") >= now - slack)

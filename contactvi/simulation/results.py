@@ -76,6 +76,7 @@ class EngineResult(EngineStatus):
         t, q, p: times [s] (N,), configurations (N, nq) and momenta (N, nv) at the nodes.
         work: since the start [J], (N, 4), columns as in contactvi.records.work.WORKS.
         reactions: mean forces of the constraints since the node before, (N, rows).
+        still: contacts of what lies still: the rows, and the other fields of a contactvi.records.still.Span.
         dense: one row per dense step, columns as in contactvi.records.dense_steps.
         kept_steps: those with persistent contacts, with record="gradient".
         forced: of single steps, whether some input was not zero.
@@ -89,6 +90,7 @@ class EngineResult(EngineStatus):
     reactions: Array | None
     events: Columns | None
     contacts: Columns | None
+    still: list[tuple[_core.StillRows, int, int, float, float, float]] | None
     changes: Columns | None
     phases: Columns | None
     dense: Columns | None

@@ -16,6 +16,8 @@ class DisjointSets {
     parent_.resize(count);
     std::iota(parent_.begin(), parent_.end(), 0);
   }
+  // Takes a number out of its set, which has to be done with all of a set.
+  void isolate(int i) { parent_[i] = i; }
   int root(int i) {
     while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
     return i;

@@ -1,6 +1,8 @@
 #include "bindings/contact_results.hpp"
 
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
 
 #include <algorithm>
 
@@ -8,6 +10,7 @@
 #include "step/integrator.hpp"
 
 namespace nb = nanobind;
+using namespace nb::literals;
 
 namespace contactvi {
 
@@ -129,6 +132,22 @@ std::optional<Dict> contact_rows(const Scene& s, const std::vector<ContactRow>& 
   d["slip"] = hand_over(std::move(slip));
   d["work"] = hand_over(std::move(work));
   return d;
+}
+
+std::optional<nb::list> still_contacts(const std::vector<StillContacts>& spans) {
+  if (spans.empty()) return std::nullopt;
+  nb::list found;
+  for (const StillContacts& span : spans)
+    found.append(nb::make_tuple(span.rows, span.first, span.count, span.start_time, span.dt, span.length));
+  return found;
+}
+
+void expose_still_rows(nb::module_& m) {
+  nb::class_<StillRows>(m, "StillRows", "Contacts of what lies still, the same in every step of a span.")
+      .def(
+          "columns", [](const StillRows& still, const Scene& scene) { return contact_rows(scene, still.rows); },
+          "scene"_a, "Return the columns of one step; its start, length and number are of no account.")
+      .def("__len__", [](const StillRows& still) { return still.rows.size(); });
 }
 
 std::optional<Dict> contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes) {

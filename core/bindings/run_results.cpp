@@ -100,6 +100,7 @@ Dict run_results(const Scene& s, const SimulatorOptions& options, Recording& rec
     d["adaptive_steps"] = steps;
   }
   d["contacts"] = contact_rows(s, recording.contacts);
+  d["still"] = still_contacts(recording.still);
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
   d["dense"] = dense_steps(s, recording);

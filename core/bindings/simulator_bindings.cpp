@@ -229,6 +229,7 @@ void expose_simulator(nb::module_& m) {
           },
           "Return the contact steps, impacts of several points, dense steps and smooth steps with rows as numbers, for "
           "files, and of the first and the last what their laws of contact need.");
+  expose_still_rows(m);
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.")
       .def(
           "__init__",

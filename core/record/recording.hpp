@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -52,6 +53,17 @@ struct ContactRow {
   bool dense = false;  // of a dense step
 };
 
+// The contacts of what lies still: the same rows in every step of a span, each from the start of its step on. In a row
+// t, h and step are of no account.
+struct StillRows {
+  std::vector<ContactRow> rows;
+};
+struct StillContacts {
+  std::shared_ptr<StillRows> rows;
+  long first, count;              // the steps
+  double start_time, dt, length;  // step k starts at start_time + k dt and is so long [s]
+};
+
 // Beginnings, ends and changes of persistent contacts. The numbers are those of stored runs.
 enum class Change : int {
   kBegin = 0,
@@ -90,6 +102,7 @@ struct Recording {
   Segments segments;
   std::vector<double> adaptive_t, adaptive_dt;  // of run_auto: start and step of each smooth piece of the motion [s]
   std::vector<ContactRow> contacts;
+  std::vector<StillContacts> still;
   std::vector<ChangeRecord> changes;
   std::vector<DenseRecord> dense;
   // Where the kind or the length of the steps changes: from phase_t on steps of length phase_dt and of kind phase_kind
@@ -126,6 +139,7 @@ struct Recording {
     cut({0, 0, 0, 0, 0, 0, 0});
     adaptive_t.clear();
     adaptive_dt.clear();
+    still.clear();
   }
   // The amount recorded so far, to which cut() returns.
   struct Mark {

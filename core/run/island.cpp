@@ -1,6 +1,7 @@
 #include "run/island.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "geometry/prepare.hpp"
 #include "model/force_rate.hpp"
@@ -16,6 +17,20 @@ int position(const std::vector<int>& sorted, int value) {
 
 // Whether some force or constraint is a function of time, or may be one.
 bool depends_on_time(const Elements& e) { return e.driven() || !e.potentials.empty() || forces_depend_on_time(e); }
+
+// How far a change of each coordinate by 1 moves the points of a body, at most 1 [m]. What turns freely and is smaller
+// than that turns within the rounding of its points.
+VecX turning_levers(const Scene& scene) {
+  VecX levers = VecX::Ones(scene.tree.nq);
+  std::vector<double> reach(scene.tree.joints.size(), 0.0);
+  for (const Geometry& g : scene.geometries)
+    if (g.body >= 0 && !g.unbounded) reach[g.body] = std::max(reach[g.body], g.reach);
+  for (std::size_t j = 0; j < reach.size(); ++j) {
+    const Joint& joint = scene.tree.joints[j];
+    if (joint.nq == 4 && reach[j] > 0.0) levers.segment<4>(joint.iq).setConstant(std::min(1.0, reach[j]));
+  }
+  return levers;
+}
 
 // The step lengths of two islands that become one.
 void combine(const StepControl& part, StepControl& all) {
@@ -51,9 +66,72 @@ Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> tree
 void Island::begin(const Scene& whole, const StaticTrees& all) {
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
   offset_.assign(numbers_->geometries.size(), 0.0);
+  levers_ = turning_levers(engine_->scene());
+  find_bases(all);
   engine_->follow_motion();
   depends_on_time_ = depends_on_time(engine_->scene().tree.elements) || engine_->scene().contacts_depend_on_time();
   for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
+}
+
+void Island::find_bases(const StaticTrees& all) {
+  const Scene& scene = engine_->scene();
+  const Tree& tree = scene.tree;
+  std::vector<int> base, members;  // of each joint, of each base
+  for (std::size_t j = 0; j < tree.joints.size(); ++j) {
+    const Joint& joint = tree.joints[j];
+    base.push_back(joint.parent < 0 ? -1 : base[joint.parent]);
+    if (joint.parent < 0 && joint.type == JointType::kTranslation) {
+      base.back() = static_cast<int>(bases_.size());
+      bases_.push_back(
+          {joint.iq, joint.iv, all.of_joint(numbers_->joints[j]), joint.R_PJ, -1, 0.0, Vec3::Zero(), 0.0, false});
+      members.push_back(0);
+    }
+    if (base.back() < 0) continue;
+    const bool turns = joint.type == JointType::kSpherical && joint.parent >= 0;
+    members[base.back()] += joint.parent < 0 || turns ? 1 : 3;
+    bases_[base.back()].mass += joint.mass;
+    if (turns) bases_[base.back()].turning = joint.iq;
+  }
+  const Elements& e = tree.elements;
+  const bool weight_alone = !tree.has_springs && !tree.has_damping && !e.any_force() && e.constraints.empty() &&
+                            e.servo_kp.size() == 0 && tree.followers.empty();
+  for (std::size_t k = 0; k < bases_.size(); ++k)
+    if (!weight_alone || members[k] > 2) {
+      bases_[k].mass = 0.0;
+      bases_[k].turning = -1;
+    }
+  for (const Geometry& g : scene.geometries) {
+    base_of_.push_back(g.body < 0 ? -1 : base[g.body]);
+    only_translates_.push_back(base_of_.back() >= 0 && bases_[base_of_.back()].mass > 0.0 && g.is_ball &&
+                               g.center_B.isZero(0.0));
+  }
+}
+
+// The step just made, of this length [s], began at this configuration of the whole scene. In one step of the midpoint
+// rule translations go along straight lines at constant speeds; the path of what only falls is bent in several.
+void Island::find_straight(const VecX& before, double length) {
+  forget_straight();
+  if (!ok_ || bases_.empty() || !engine_->flew()) return;
+  const bool once = engine_->flew_once();
+  bow_ = once ? 0.0 : engine_->scene().tree.gravity.norm() * length * length / 8.0;
+  const VecX& q = std::as_const(*engine_).state().q;
+  for (Base& base : bases_) {
+    base.straight = once || (base.mass > 0.0 && tau_.size() == 0);
+    for (std::size_t k = 0; k < recording_.impacts.size() && base.straight; ++k) {
+      const auto [a, b] = guard_trees_[recording_.impacts[k].guard];
+      base.straight = a != base.tree && b != base.tree;
+    }
+    Vec3 moved;
+    for (int i = 0; i < 3; ++i) moved[i] = q[base.iq + i] - before[numbers_->q[base.iq + i]];
+    base.along = base.axes * moved;
+    if (base.turning < 0) continue;
+    double turned = 0.0;
+    for (int i = 0; i < 4; ++i) {
+      const double change = q[base.turning + i] - before[numbers_->q[base.turning + i]];
+      turned += change * change;
+    }
+    base.turn = 2.0 * std::sqrt(turned);
+  }
 }
 
 int Island::local_guard(int guard) const { return position(numbers_->guards, guard); }
@@ -128,6 +206,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
   engine_->take_over(to, fresh_, t, start_time);
   engine_->guards().begin_interval();
   rest_.steps = 0;
+  forget_straight();
 }
 
 // What dense steps carry: they go on where one of the trees had them.
@@ -207,11 +286,7 @@ void Island::dissolve(std::vector<LooseState>& loose, std::vector<JointFriction>
 }
 
 void Island::undo(std::vector<LooseState>& loose, std::vector<JointFriction>& friction) {
-  if (asleep()) {
-    dissolve(loose, friction);
-  } else {
-    file(before_, loose, friction);
-  }
+  file(before_, loose, friction);
 }
 
 // Takes its part of the inputs; false: they are those of the step before.
@@ -236,28 +311,29 @@ bool Island::set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref) {
   return changed;
 }
 
-// The record of the last step is that of this one, at another time.
-void Island::repeat_record(long step, double t, double length) {
-  for (ContactRow& row : recording_.contacts) {
-    row.t = t;
-    row.h = length;
-    row.step = step;
-  }
-  std::fill(recording_.phase_t.begin(), recording_.phase_t.end(), t);
-  for (DenseRecord& dense : recording_.dense) {
-    dense.time = t;
-    dense.step = step;
-  }
+void Island::fall_asleep(long step, double length) {
+  settled_ = step + 1;
+  engine_->state().dense.located = LocatedCost();
+  mean_reactions_.resize(0);
+  const WorkTally& done = engine_->state().work.tally();
+  if (done.does_work && !numbers_->reactions.empty()) mean_reactions_ = done.reactions / length;
+}
+
+void Island::settle(long step) {
+  DensePhase& dense = engine_->state().dense;
+  if (!dense.active) dense.since_return += step - settled_;
+  settled_ = step;
 }
 
 // before(i): the number i at the start of the step.
 template <class Before>
-void Rest::count_with(Before before, const double* now, Eigen::Index size, bool quiet) {
+void Rest::count_with(Before before, const double* now, const VecX& levers, bool quiet) {
+  const Eigen::Index size = levers.size();
   bool still = quiet && steps > 0;
-  for (Eigen::Index i = 0; i < size && still; ++i) {
-    const double was = steps > 1 ? q[i] : before(i);
-    still = std::abs(now[i] - was) <= kStill * std::max(std::abs(was), 1.0);
-  }
+  double largest = 1.0;
+  for (Eigen::Index i = 0; i < size && still; ++i) largest = std::max(largest, std::abs(now[i]));
+  for (Eigen::Index i = 0; i < size && still; ++i)
+    still = std::abs(now[i] - (steps > 1 ? q[i] : before(i))) * levers[i] <= kStill * largest;
   if (!still) {
     steps = quiet ? 1 : 0;
     return;
@@ -269,12 +345,12 @@ void Rest::count_with(Before before, const double* now, Eigen::Index size, bool 
   ++steps;
 }
 
-void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet) {
-  count_with([&](Eigen::Index i) { return before[entries[i]]; }, now.data(), now.size(), quiet);
+void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, const VecX& levers, bool quiet) {
+  count_with([&](Eigen::Index i) { return before[entries[i]]; }, now.data(), levers, quiet);
 }
 
-void Rest::count_undisturbed(const double* before, const double* now, Eigen::Index size) {
-  count_with([=](Eigen::Index i) { return before[i]; }, now, size, true);
+void Rest::count_undisturbed(const double* before, const double* now, const VecX& levers) {
+  count_with([=](Eigen::Index i) { return before[i]; }, now, levers, true);
 }
 
 // Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay,
@@ -284,30 +360,28 @@ void Island::count_rest(const VecX& before) {
                !engine_->may_leave_dense_steps();
   const std::vector<ContactRow>& rows = recording_.contacts;
   for (const ContactRow& row : rows) quiet = quiet && row.t == rows.front().t && row.mode != ContactMode::kSlips;
-  rest_.count(before, numbers_->q, std::as_const(*engine_).state().q, quiet);
+  rest_.count(before, numbers_->q, std::as_const(*engine_).state().q, levers_, quiet);
 }
 
-void Island::restore_rest(const Rest& rest, const Recording& record, const VecX& tau, const MatX& target) {
+void Island::restore_rest(const Rest& rest, const Recording& record, const VecX& mean_reactions, const VecX& tau,
+                          const MatX& target, long step) {
   rest_ = rest;
   recording_ = record;
+  mean_reactions_ = mean_reactions;
   tau_ = tau;
   target_ = target;
+  forget_straight();
+  settled_ = step;
 }
 
 void Island::step(const VecX& before, long step, double t, double length, const VecX& tau, const VecX& q_ref,
                   const VecX& v_ref, const Progress& progress) {
   if (set_inputs(tau, q_ref, v_ref)) rest_.steps = 0;
-  if (asleep()) {
-    repeat_record(step, t, length);
-    DensePhase& dense = engine_->state().dense;
-    if (!dense.active) ++dense.since_return;
-    dense.located = LocatedCost();
-    return;
-  }
   if (own_) engine_->hand_over(before_);  // the island of all trees is never undone
   engine_->guards().begin_interval();
   recording_.clear();
   ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
+  find_straight(before, length);
   count_rest(before);
 }
 
@@ -315,8 +389,7 @@ void Island::step(const VecX& before, long step, double t, double length, const 
 void Island::measure(IslandGraph& graph) {
   const Guards& guards = engine_->guards();
   if (!graph.clear() || !(asleep() || guards.passed_all())) {
-    for (std::size_t k = 0; k < offset_.size(); ++k)
-      graph.set_motion(numbers_->geometries[k], motion(static_cast<int>(k)));
+    for (std::size_t k = 0; k < offset_.size(); ++k) tell_motion_of(static_cast<int>(k), graph);
     return;
   }
   if (asleep()) return;
@@ -334,12 +407,33 @@ void Island::find_share(const IslandGraph& graph) {
   share_room_ = graph.room_number();
 }
 
+void Island::tell_motion_of(int k, IslandGraph& graph) const {
+  const int g = numbers_->geometries[k];
+  graph.set_motion(g, motion(k));
+  if (base_of_[k] < 0 || asleep()) return;
+  const Base& base = bases_[base_of_[k]];
+  if (base.straight)
+    graph.set_straight(g, base.along,
+                       bow_ + (only_translates_[k] ? 0.0 : std::max(0.0, motion(k) - base.along.norm())));
+}
+
+void Island::tell_expected(double length, IslandGraph& graph) const {
+  const VecX& p = std::as_const(*engine_).state().p;
+  for (std::size_t k = 0; k < offset_.size(); ++k) {
+    if (base_of_[k] < 0 || asleep()) continue;
+    const Base& base = bases_[base_of_[k]];
+    if (!(base.mass > 0.0)) continue;
+    const int g = numbers_->geometries[k];
+    const double turned = only_translates_[k] ? 0.0 : base.turn * engine_->scene().geometries[k].reach;
+    graph.set_straight(g, base.axes * p.segment<3>(base.iv) * (length / base.mass), turned);
+  }
+}
+
 void Island::tell_motion(IslandGraph& graph) const {
   for (std::size_t k = 0; k < offset_.size(); ++k) {
-    const int g = numbers_->geometries[k], own = static_cast<int>(k);
-    const double moved = motion(own);
-    graph.set_place(g, offset_[k] + engine_->guards().odometer(own) - moved);
-    graph.set_motion(g, moved);
+    const int own = static_cast<int>(k);
+    graph.set_place(numbers_->geometries[k], offset_[k] + engine_->guards().odometer(own) - motion(own));
+    tell_motion_of(own, graph);
   }
 }
 

@@ -31,22 +31,22 @@ struct LooseState {
 struct Rest {
   // Steps before it sleeps. What leaves an unstable equilibrium slowly has come further in them than in the first one.
   static constexpr int kSteps = 32;
-  // How far a coordinate may be from where it was at the first of them, over the larger of 1 and its size: two spacings
-  // of the doubles there.
+  // How far a point of a body may be from where it was at the first of them, over the larger of 1 and the largest
+  // coordinate: two spacings of the doubles there. A turn counts by what it moves the body's points.
   static constexpr double kStill = 4.5e-16;
 
   int steps = 0;
   VecX q;  // at the end of the first of them, once there are two
 
-  // A step has ended at this configuration, which began at those entries of `before`; quiet: nothing but rest happened
-  // in it.
-  void count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet);
+  // A step has ended at this configuration, which began at those entries of `before`; levers: how far a change of a
+  // coordinate by 1 moves points, at most 1 [m]; quiet: nothing but rest happened in it.
+  void count(const VecX& before, const std::vector<int>& entries, const VecX& now, const VecX& levers, bool quiet);
   // As this, of numbers of the island; nothing but rest happened.
-  void count_undisturbed(const double* before, const double* now, Eigen::Index size);
+  void count_undisturbed(const double* before, const double* now, const VecX& levers);
 
  private:
   template <class Before>
-  void count_with(Before before, const double* now, Eigen::Index size, bool quiet);
+  void count_with(Before before, const double* now, const VecX& levers, bool quiet);
 };
 
 class Island {
@@ -71,7 +71,8 @@ class Island {
   void dissolve(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
   void undo(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
 
-  // One control step from the configuration `before`; tau, target: of the whole scene, or empty.
+  // One control step from the configuration `before`, while it is not asleep; tau, target: of the whole scene, or
+  // empty.
   void step(const VecX& before, long step, double t, double length, const VecX& tau, const VecX& q_ref,
             const VecX& v_ref, const Progress& progress);
   // undisturbed_steps.cpp: steps that were solved in advance and in which nothing happens are made at once, as
@@ -84,15 +85,28 @@ class Island {
   // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
   // changes: its trees, or its inputs.
   bool asleep() const { return rest_.steps >= Rest::kSteps; }
+  // Step `step` of this length [s], the last one that it has made, has put it to sleep.
+  void fall_asleep(long step, double length);
+  // Counts what it would have counted in the steps before `step`, which it has slept through.
+  void settle(long step);
+  void wake(long step) {
+    settle(step);
+    rest_.steps = 0;
+  }
+  // Asleep: mean forces of its constraints; empty where it has none.
+  const VecX& mean_reactions() const { return mean_reactions_; }
   const Rest& rest() const { return rest_; }
   // Goes back to having repeated a step whose record is this.
-  void restore_rest(const Rest& rest, const Recording& record, const VecX& tau, const MatX& target);
+  void restore_rest(const Rest& rest, const Recording& record, const VecX& mean_reactions, const VecX& tau,
+                    const MatX& target, long step);
   const VecX& tau() const { return tau_; }
   const MatX& target() const { return target_; }
   // Tells the graph how far it has moved in that step.
   void measure(IslandGraph& graph);
   // Tells it how far each of its geometries has moved so far, and in that step.
   void tell_motion(IslandGraph& graph) const;
+  // Tells it where what flies will be carried in an interval of this length [s] if it goes on as it is.
+  void tell_expected(double length, IslandGraph& graph) const;
   // From here on its geometries have moved as far as the graph knows.
   void join_graph(const IslandGraph& graph);
   // Whether a state of it has to obey constraints.
@@ -112,10 +126,15 @@ class Island {
  private:
   void begin(const Scene& whole, const StaticTrees& all);
   void find_share(const IslandGraph& graph);
+  void find_bases(const StaticTrees& all);
+  void find_straight(const VecX& before, double length);
+  void forget_straight() {
+    for (Base& base : bases_) base.straight = false;
+  }
+  void tell_motion_of(int k, IslandGraph& graph) const;
   double motion(int k) const { return asleep() ? 0.0 : engine_->guards().motion_since(k); }
   void take_state(const VecX& q, const VecX& p, Handover& to) const;
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
-  void repeat_record(long step, double t, double length);
   void count_rest(const VecX& before);
   template <class List, class GuardOf, class Put>
   void take(List& list, GuardOf guard_of, Put put) const;
@@ -130,10 +149,26 @@ class Island {
   Simulator* engine_;
   std::vector<std::pair<int, int>> guard_trees_;  // of its guards
   std::vector<int> dof_tree_;                     // of its dofs
+  VecX levers_;                                   // of its coordinates; see Rest
   EngineMemory fresh_;
   Handover before_, handover_;
   Recording recording_;
   std::vector<double> offset_;  // of the graph's odometer of each geometry from that of the engine [m]
+  // What is carried by a translation of its own: the place of that in q, and where it was carried in the last step
+  // along a straight line, if it was [m, world]. Of each geometry the number of its base, -1: none.
+  struct Base {
+    int iq, iv, tree;
+    Mat3 axes;
+    int turning;  // of a rigid body that turns besides: the place of its quaternion, else -1
+    double mass;  // of a rigid body on which gravity alone acts, else 0
+    Vec3 along;
+    double turn;  // about so much [rad]
+    bool straight;
+  };
+  std::vector<Base> bases_;
+  std::vector<int> base_of_;
+  std::vector<char> only_translates_;  // whether it is a ball about a point of the base
+  double bow_ = 0.0;                   // see IslandGraph::set_straight
   // How many reference intervals of the graph a reference step of the engine's guards is, and of which of these.
   double share_ = 0.0;
   long share_span_ = -1, share_room_ = -1;
@@ -142,6 +177,8 @@ class Island {
   bool ok_ = true;
   bool depends_on_time_ = false;  // some force or constraint is a function of time
   Rest rest_;
+  long settled_ = 0;  // asleep: the steps before this one are counted
+  VecX mean_reactions_;
 };
 
 template <class Join>

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 
+#include "base/numerics.hpp"
 #include "geometry/box.hpp"
 
 namespace contactvi {
@@ -46,12 +47,27 @@ IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
     movable_.push_back(static_cast<int>(g));
   }
   neighbours_.resize(n);
+  is_active_.assign(n, 0);
+  straight_.setConstant(4, static_cast<Eigen::Index>(n), kNaN);
   for (std::vector<double>* list : {&reach_, &motion_, &odometer_, &limit_, &inverse_}) list->assign(n, 0.0);
   for (std::vector<double>* list : {&x_, &y_, &z_, &ball_}) list->assign(movable_.size(), 0.0);
 }
 
-void IslandGraph::restart(const std::vector<double>& motion) {
+void IslandGraph::set_active(std::vector<int> geometries) {
+  for (int g : active_) is_active_[g] = 0;
+  std::swap(active_, geometries);
+  active_.erase(std::remove_if(active_.begin(), active_.end(), [this](int g) { return slot_[g] < 0; }), active_.end());
+  std::sort(active_.begin(), active_.end());
+  for (int g : active_) is_active_[g] = 1;
+  for (int g : geometries)
+    if (!is_active_[g]) reach_[g] = 0.0;
+}
+
+void IslandGraph::restart(const std::vector<double>& motion, const MatX& straight) {
+  set_active(movable_);
   motion_ = motion;
+  straight_ = straight;
+  approaching_.clear();
   knows_motion_ = true;
   room_ = used_ = largest_ = last_ = 0.0;
   std::fill(odometer_.begin(), odometer_.end(), 0.0);
@@ -121,19 +137,28 @@ double IslandGraph::clearance(const Neighbour& n, int g, double reach) {
   return std::max(balls, separation(box_of(a, at), box_of(b, at)));
 }
 
-// Whether two neighbours may meet when they move by `reach` together.
-bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
+// How far two neighbours have moved against each other at most, by the motions that were told last. What moves along a
+// straight line has moved by what is left of its motion besides.
+double IslandGraph::approach(int g, const Neighbour& n) const {
+  const auto a = straight_.col(g), b = straight_.col(n.geometry);
+  const double together = motion_[g] + motion_[n.geometry], apart = (a - b).head<3>().norm() + a[3] + b[3];
+  return apart < together ? apart : together;  // also where it is NaN
+}
+
+// Whether two neighbours may meet when they move by `reach` together, and by `approach` against each other.
+bool IslandGraph::may_meet(int g, Neighbour& n, double reach, double approach) {
   const double odometers = odometer_[g] + odometer_[n.geometry];
   if (odometers + reach < n.mark) return false;
-  const double lasting = kRenewed * kIntervals * reach;
+  const double lasting = kRenewed * kIntervals * approach;
   double distance = clearance(n, g, lasting);
   if (distance <= lasting && !(sphere_[g] && sphere_[n.geometry])) {
     Contact contact;
     distance = guards_->distance_bound(n.guard, lasting);
-    if (!(distance > reach)) distance = guards_->evaluate_witness(n.guard, contact);
+    if (!(distance > approach)) distance = guards_->evaluate_witness(n.guard, contact);
   }
-  if (!(distance > reach)) return true;
+  if (!(distance > approach)) return true;
   n.mark = odometers + distance;
+  if (!(distance > reach)) approaching_.push_back({g, n, distance});
   return false;
 }
 
@@ -145,11 +170,11 @@ void IslandGraph::find_room(DisjointSets& sets) {
   const auto limit = [this](double room) {
     if (!(room >= room_)) room_ = room;  // NaN stays
   };
-  for (int g : movable_) inverse_[g] = reach_[g] > 0.0 ? 1.0 / reach_[g] : kHuge;
-  for (int g : movable_) {
+  for (int g : active_) inverse_[g] = reach_[g] > 0.0 ? 1.0 / reach_[g] : kHuge;
+  for (int g : active_) {
     limit((limit_[g] - odometer_[g]) * inverse_[g]);
     for (const Neighbour& n : neighbours_[g]) {
-      if (n.geometry < g) continue;
+      if (!looks_at(g, n)) continue;
       if (sets.joined(trees_->of_geometry(g), trees_->of_geometry(n.geometry))) {
         room_ = 0.0;
         return;
@@ -166,6 +191,7 @@ bool IslandGraph::find_clear() {
   // part of each reach.
   clear_ = is_clear(used_, last_);
   measured_ = !clear_;
+  approaching_.clear();
   return clear_;
 }
 
@@ -191,49 +217,58 @@ void IslandGraph::pass(const std::vector<double>& counts, int intervals) {
 }
 
 void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets) {
+  joins_.clear();
   bool outdated = was_clear_;
-  for (int g : movable_) {
+  for (int g : active_) {
     reach_[g] = kReach * motion_[g] + slack;
     outdated |= !(odometer_[g] + reach_[g] <= limit_[g]);
   }
-  for (int g : movable_) {
+  for (int g : active_) {
     if (!outdated) break;
     const double margin = std::max(kIntervals * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0);
     if (odometer_[g] + std::max(reach_[g], kRenewed * margin) <= limit_[g]) continue;
     place(q);
     renew(g, margin);
   }
-  for (int g : movable_) {
+  for (int g : active_) {
     for (Neighbour& n : neighbours_[g]) {
-      if (n.geometry < g || sets.joined(trees_->of_geometry(g), trees_->of_geometry(n.geometry))) continue;
+      if (!looks_at(g, n) || sets.joined(trees_->of_geometry(g), trees_->of_geometry(n.geometry))) continue;
       const double reach = reach_[g] + reach_[n.geometry];
       if (odometer_[g] + odometer_[n.geometry] + reach < n.mark) continue;
       place(q);
-      if (may_meet(g, n, reach)) sets.join(trees_->of_geometry(g), trees_->of_geometry(n.geometry));
+      if (may_meet(g, n, reach, std::min(reach, kReach * approach(g, n)))) join(g, n, sets);
     }
   }
   find_room(sets);
 }
 
+void IslandGraph::join(int g, const Neighbour& n, DisjointSets& sets) {
+  joins_.emplace_back(trees_->of_geometry(g), trees_->of_geometry(n.geometry));
+  sets.join(joins_.back().first, joins_.back().second);
+}
+
 void IslandGraph::join_met(const VecX& q, DisjointSets& sets) {
+  joins_.clear();
   if (clear_) std::fill(reach_.begin(), reach_.end(), 0.0);  // all that move are looked at
+  for (const Approaching& pair : approaching_)
+    if (!(pair.distance > approach(pair.geometry, pair.neighbour))) join(pair.geometry, pair.neighbour, sets);
   bool any = false;
-  for (int g : movable_) any |= motion_[g] > reach_[g];
+  for (int g : active_) any |= motion_[g] > reach_[g];
   if (!any) return;
   place(q);
-  for (int g : movable_)
+  for (int g : active_)
     if (odometer_[g] + motion_[g] > limit_[g]) renew(g, kIntervals * motion_[g]);
-  for (int g : movable_) {
+  for (int g : active_) {
     if (!(motion_[g] > reach_[g])) continue;
     for (Neighbour& n : neighbours_[g]) {
       const int a = trees_->of_geometry(g), b = trees_->of_geometry(n.geometry);
-      if (!sets.joined(a, b) && may_meet(g, n, motion_[g] + motion_[n.geometry])) sets.join(a, b);
+      if (!sets.joined(a, b) && may_meet(g, n, motion_[g] + motion_[n.geometry], approach(g, n))) join(g, n, sets);
     }
   }
 }
 
 void IslandGraph::know_motion() {
-  for (int g : movable_) odometer_[g] += motion_[g];
+  for (int g : active_) odometer_[g] += motion_[g];
   largest_ = 0.0;
   knows_motion_ = true;
 }
@@ -241,7 +276,7 @@ void IslandGraph::know_motion() {
 void IslandGraph::commit() {
   knows_motion_ = measured_;
   if (measured_)
-    for (int g : movable_) odometer_[g] += motion_[g];
+    for (int g : active_) odometer_[g] += motion_[g];
   used_ += largest_;
   last_ = largest_;
   largest_ = 0.0;

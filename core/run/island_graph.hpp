@@ -5,6 +5,7 @@
 // geometries together have moved by d, as in geometry/guard.hpp.
 #pragma once
 
+#include <utility>
 #include <vector>
 
 #include "base/disjoint_sets.hpp"
@@ -18,8 +19,17 @@ class IslandGraph {
   // Distances are those of `guards`, whose scene is the whole one, without persistent contacts.
   IslandGraph(const StaticTrees& trees, Guards& guards);
 
-  // Forgets where everything is; motion: bound on the motion of each geometry in the next interval [m].
-  void restart(const std::vector<double>& motion);
+  // Forgets where everything is, and takes all for active; motion, straight: of each geometry in the next interval, as
+  // of set_motion and set_straight, NaN where it has none.
+  void restart(const std::vector<double>& motion, const MatX& straight);
+  // From now on only these geometries move, until other ones are named. Of the others the odometer is to be right and
+  // the motion zero.
+  void set_active(std::vector<int> geometries);
+  // The next interval is not found to be clear.
+  void end_clear() { room_ = 0.0; }
+  // The trees that the last search has joined.
+  const std::vector<std::pair<int, int>>& joins() const { return joins_; }
+  void forget_joins() { joins_.clear(); }
   // An interval begins: whether nobody can meet in it, whatever moved in the last one.
   bool find_clear();
   bool clear() const { return clear_; }
@@ -31,8 +41,13 @@ class IslandGraph {
   // Sets how far a geometry has moved at most in the interval under way, or in the last one [m].
   void set_motion(int geometry, double distance) {
     motion_[geometry] = distance;
+    straight_(0, geometry) = kNaN;
     count(part(geometry, distance));
   }
+  // After that: no point of it was farther than `besides` [m] from where it would have been, had it been carried along
+  // this straight line [m, world] at a constant speed.
+  void set_straight(int geometry, const Vec3& along, double besides) { straight_.col(geometry) << along, besides; }
+  const MatX& straight() const { return straight_; }
   // And until the start of that interval.
   void set_place(int geometry, double odometer) { odometer_[geometry] = odometer; }
   double odometer(int geometry) const { return odometer_[geometry]; }
@@ -67,20 +82,27 @@ class IslandGraph {
   static constexpr double kReach = 1.5;  // of the motion in the last interval: that expected in the next one
   struct Neighbour {
     int geometry, guard;
-    double mark;  // sum of the two odometers up to which the pair is certified; kept by the smaller of the two
+    double mark;  // sum of the two odometers up to which the pair is certified, as the one that looks at it knows
   };
   void place(const VecX& q);
   void renew(int g, double margin);
   int guard_of(int a, int b) const;
   double clearance(const Neighbour& n, int g, double reach);
   void find_room(DisjointSets& sets);
-  bool may_meet(int g, Neighbour& n, double reach);
+  double approach(int g, const Neighbour& n) const;
+  bool may_meet(int g, Neighbour& n, double reach, double approach);
+  // Each pair of which one moves is looked at from one side: the moving one, of two the first.
+  bool looks_at(int g, const Neighbour& n) const { return n.geometry > g || !is_active_[n.geometry]; }
+  void join(int g, const Neighbour& n, DisjointSets& sets);
   bool is_clear(double used, double last) const { return used + kReach * last + 1.0 < room_; }
 
   const StaticTrees* trees_;
   Guards* guards_;
   const Scene* scene_;
   std::vector<int> movable_;  // geometries with pairs between trees
+  std::vector<int> active_;   // those that move, ascending
+  std::vector<char> is_active_;
+  std::vector<std::pair<int, int>> joins_;
   struct Partner {
     int geometry, guard;
   };
@@ -91,6 +113,15 @@ class IslandGraph {
   std::vector<int> slot_;                 // of a geometry in movable_
   std::vector<std::vector<Neighbour>> neighbours_;
   std::vector<Neighbour> before_;  // workspace of renew: the neighbours so far
+  MatX straight_;                  // (4, geometries) along and besides; NaN: not known
+  // Neighbours that could have met by how far each moves, but not by how far they move against each other, if this
+  // stays below their distance at the start of the interval under way.
+  struct Approaching {
+    int geometry;
+    Neighbour neighbour;
+    double distance;
+  };
+  std::vector<Approaching> approaching_;
   bool placed_ = false;
   // A reference interval moves each geometry by the reach that it had when room_ was found; inverse_ is one over that.
   // An interval counts as the least multiple of it that no geometry exceeds: largest_ is the one under way, last_ the

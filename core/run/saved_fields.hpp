@@ -330,7 +330,8 @@ void fields(Archive& a, DenseRecord& x) {
 
 template <class Archive>
 void fields(Archive& a, Recording& x) {
-  auto& [t, q, p, work, reactions, impacts, segments, adaptive_t, adaptive_dt, contacts, changes, dense, phase_t,
+  // What is saved is the record of one island, and what lies still is told of a world.
+  auto& [t, q, p, work, reactions, impacts, segments, adaptive_t, adaptive_dt, contacts, still, changes, dense, phase_t,
          phase_dt, phase_kind] = x;
   values(a, t, q, p, work, reactions, impacts, segments, adaptive_t, adaptive_dt, contacts, changes, dense, phase_t,
          phase_dt, phase_kind);
@@ -338,14 +339,14 @@ void fields(Archive& a, Recording& x) {
 
 template <class Archive>
 void fields(Archive& a, SavedWorld::SavedIsland& x) {
-  auto& [trees, engine, rest, record, tau, target] = x;
-  values(a, trees, engine, rest, record, tau, target);
+  auto& [trees, engine, rest, record, mean_reactions, tau, target] = x;
+  values(a, trees, engine, rest, record, mean_reactions, tau, target);
 }
 
 template <class Archive>
 void fields(Archive& a, SavedWorld& x) {
-  auto& [whole, divided, run, loose, joint_friction, motion, q_ref, v_ref, counters, islands] = x;
-  values(a, whole, divided, run, loose, joint_friction, motion, q_ref, v_ref, counters, islands);
+  auto& [whole, divided, run, loose, joint_friction, motion, straight, tau, q_ref, v_ref, counters, islands] = x;
+  values(a, whole, divided, run, loose, joint_friction, motion, straight, tau, q_ref, v_ref, counters, islands);
 }
 
 }  // namespace contactvi

@@ -16,14 +16,15 @@ struct SavedWorld {
   std::vector<LooseState> loose;
   std::vector<JointFriction> joint_friction;
   std::vector<double> motion;
-  VecX q_ref, v_ref;
+  MatX straight;
+  VecX tau, q_ref, v_ref;
   EngineCounters counters;
   struct SavedIsland {
     std::vector<int> trees;
     std::shared_ptr<const Snapshot> engine;
     Rest rest;
     Recording record;  // of the step that an island at rest repeats
-    VecX tau;
+    VecX mean_reactions, tau;
     MatX target;
   };
   std::vector<SavedIsland> islands;

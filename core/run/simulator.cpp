@@ -318,6 +318,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   changes_.begin_interval();
   const bool dense_allowed = allows_dense_steps();
   double spent = 0.0;
+  bool only_free = true;
+  flew_ = flew_once_ = false;
   const long impacts = state_.impacts;
   if (state_.dense.active && dense_may_end()) end_dense_phase();
   if (!state_.dense.active) ++state_.dense.since_return;
@@ -330,6 +332,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       if (!interval.keeps_branches) actuation_.limit(start + interval.done, state_.q, state_.p);
     }
     if (state_.dense.active) {
+      only_free = false;
       state_.watch.known = false;
       if (!advance_dense(interval, recording)) return false;
       count_saturated(false);
@@ -338,6 +341,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const double cost = located_cost();
     const bool phase = !contact_step_.empty() || has_phase();
     if (phase) state_.watch.known = false;  // friction takes energy there
+    only_free &= !phase;
     const bool smooth = !phase || may_hold_contacts(start + interval.done);
     const long before = state_.impacts;
     const bool going = phase ? advance_contact(interval, halved, recording) : advance_free(interval, halved, recording);
@@ -363,6 +367,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     // A step that was solved from other start values after a call has failed counts, but it is the last one.
     if (user_function_failed(start + interval.done)) return false;
   }
+  flew_ = options_.stages == 1 && only_free;
+  flew_once_ = flew_ && parts == 1 && state_.impacts == impacts;
   if (spent > 0.0 || state_.dense.located.excess > 0.0) state_.dense.located.add(spent, allowed_cost(length));
   if (!interval.checked && !in_range(state_.q, state_.p))
     return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");

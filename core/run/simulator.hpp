@@ -126,6 +126,10 @@ class Simulator {
   void take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time);
   // Bounds of the motion are kept even where no guard needs them.
   void follow_motion() { follows_motion_ = true; }
+  // Whether all steps of the last interval were those of the midpoint rule without contacts, and whether it was a
+  // single one, without an impact.
+  bool flew() const { return flew_; }
+  bool flew_once() const { return flew_once_; }
   // One control step, the number `step` of the run, of this length from t [s] on. tau: (nv,) or empty; target: (1,
   // 2 nv) or empty. False: it ended early, see the status.
   bool step_island(long step, double t, double length, const VecX& tau, const MatX& target, const Progress& progress,
@@ -318,7 +322,7 @@ class Simulator {
   VecX q1_, p1_, v_, v_long_;
   VecX gravity_q_;        // the last configuration whose potential in gravity was found,
   double gravity_ = 0.0;  // and that potential [J]
-  bool follows_motion_ = false;
+  bool follows_motion_ = false, flew_ = false, flew_once_ = false;
   bool in_company_ = false;  // whether its smooth steps are solved side by side with those of other runs
   MatX rates_;               // chart rates at the stages of the step just solved
   std::vector<ContactStepRecord> kept_steps_;

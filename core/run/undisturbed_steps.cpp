@@ -98,26 +98,27 @@ void Island::pass_foreseen(int count, long last_step, double last_start, const P
   const double* before = std::as_const(*engine_).state().q.data();
   for (int k = 0; k < count; ++k) {
     const double* now = engine_->foreseen().next(k, StepsAhead::kQ);
-    rest_.count_undisturbed(before, now, static_cast<Eigen::Index>(numbers_->q.size()));
+    rest_.count_undisturbed(before, now, levers_);
     before = now;
   }
   recording_.clear();
   ok_ = true;
+  forget_straight();
   engine_->pass_island(count, last_step, last_start, progress);
 }
 
 // The undisturbed ones among the next intervals, of which so many are left, where every tree is an island; returns how
 // many were made.
 long World::pass_undisturbed_intervals(long left, long record_every, Recording& recording) {
-  if (static_cast<int>(islands_.size()) != trees_.count()) return 0;
+  if (!all_alone()) return 0;
   long most = left;
-  for (Island* island : islands_) {
+  for (Island* island : awake_) {
     most = island->foresee(most, graph_);
     if (most == 0) return 0;
   }
   foreseen_.assign(most, 0.0);
   for (int k = 0; k < most; ++k)
-    for (Island* island : islands_) {
+    for (Island* island : awake_) {
       const double intervals = island->reference_intervals(k);
       if (!(intervals <= foreseen_[k])) foreseen_[k] = intervals;  // NaN stays
     }
@@ -128,17 +129,17 @@ long World::pass_undisturbed_intervals(long left, long record_every, Recording& 
   const double first = time(state_.step);
   long until_node = record_every - state_.step % record_every;
   for (int k = 0; k < count; ++k) {
-    for (Island* island : islands_) state_.work.add(island->engine().foreseen_work(k), island->numbers().reactions);
+    for (Island* island : awake_) state_.work.add(island->engine().foreseen_work(k), island->numbers().reactions);
     ++state_.step;
     state_.time = time(state_.step);
     const bool node = --until_node == 0;
     if (node) until_node = record_every;
     const bool recorded = node || k + 1 == left;
     if (!recorded && k + 1 < count) continue;
-    for (Island* island : islands_) island->gather_foreseen(k, state_.q, state_.p);
+    for (Island* island : awake_) island->gather_foreseen(k, state_.q, state_.p);
     if (recorded) record_node(recording);
   }
-  for (Island* island : islands_) {
+  for (Island* island : awake_) {
     island->pass_foreseen(count, state_.step - 1, time(state_.step - 1), island_progress_);
     island->last_used = state_.step - 1;
   }

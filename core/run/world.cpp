@@ -32,7 +32,7 @@ World::World(const Scene& scene, const SimulatorOptions& options)
       graph_(trees_, whole_.guards()),
       loose_(trees_.count()),
       joint_friction_(scene.tree.elements.friction_dofs.size()),
-      island_of_tree_(trees_.count(), -1) {
+      island_of_tree_(trees_.count(), nullptr) {
   // Now, while the memory of its engine is fresh.
   if (may_divide()) island_of(numbers_up_to(trees_.count()));
   island_progress_ = [this](double t, long impacts) { return ask(t, state_.impacts + impacts); };
@@ -63,6 +63,21 @@ Status World::reset(const VecX& q, const VecX& v, double t) {
   return status;
 }
 
+// Where the translations of bodies without parents carry geometries in an interval with the velocities v [m, world],
+// (4, geometries); NaN: nothing does.
+MatX World::straight_paths(const VecX& v) const {
+  const Tree& tree = scene_->tree;
+  MatX found = MatX::Constant(4, static_cast<Eigen::Index>(scene_->geometries.size()), kNaN);
+  for (std::size_t g = 0; g < scene_->geometries.size(); ++g) {
+    int j = scene_->geometries[g].body;
+    while (j >= 0 && tree.joints[j].parent >= 0) j = tree.joints[j].parent;
+    if (j < 0 || tree.joints[j].type != JointType::kTranslation) continue;
+    found.col(static_cast<Eigen::Index>(g)) << options_.dt * (tree.joints[j].R_PJ * v.segment<3>(tree.joints[j].iv)),
+        0.0;
+  }
+  return found;
+}
+
 // From the state of the whole engine to islands. v: velocities at that state.
 void World::divide(const VecX& v) {
   const RunState& from = std::as_const(whole_).state();
@@ -74,14 +89,13 @@ void World::divide(const VecX& v) {
   forgotten_ = EngineCounters();
   Island& all = island_of(numbers_up_to(trees_.count()));
   all.dissolve(loose_, joint_friction_);
-  islands_.clear();
-  std::fill(island_of_tree_.begin(), island_of_tree_.end(), -1);
+  leave_islands();
   VecX speed = VecX::Zero(scene_->tree.nv);
   add_size(scene_->tree, v, 1.0, speed);
   whole_.guards().bound_motion(state_.q, speed, options_.dt);
   std::vector<double> motion(scene_->geometries.size());
   for (std::size_t g = 0; g < motion.size(); ++g) motion[g] = whole_.guards().motion_of_geometry(static_cast<int>(g));
-  graph_.restart(motion);
+  graph_.restart(motion, straight_paths(v));
   q_ref_.resize(0);
   v_ref_.resize(0);
   if (scene_->tree.elements.servo_kp.size() > 0) {
@@ -90,7 +104,9 @@ void World::divide(const VecX& v) {
   }
   divided_ = true;
   regroup(state_.time);
-  for (Island* island : islands_) {
+  q1_ = state_.q;
+  p1_ = state_.p;
+  for (Island* island : awake_) {
     island->engine().close_contacts_at_start();
     for (ChangeRecord change : island->engine().state().initial_changes) {
       change.guard = island->numbers().guards[change.guard];
@@ -104,8 +120,11 @@ void World::divide(const VecX& v) {
 // From islands to the whole engine, which goes on alone.
 void World::unite() {
   if (!divided_) return;
-  for (Island* island : islands_) island->dissolve(loose_, joint_friction_);
-  islands_.clear();
+  each_island([this](Island& island) {
+    if (island.asleep()) island.settle(state_.step);
+    island.dissolve(loose_, joint_friction_);
+  });
+  leave_islands();
   Island& all = island_of(numbers_up_to(trees_.count()));
   all.form(state_.q, state_.p, loose_, joint_friction_, state_.time, state_.start_time);
   StepControl control = whole_.state().control;
@@ -137,7 +156,7 @@ void World::forget_unused() {
   if (pool_.size() <= 2 * most) return;
   std::vector<std::pair<long, const std::vector<int>*>> ages;
   for (const auto& [trees, island] : pool_) {
-    const bool used = std::find(islands_.begin(), islands_.end(), island.get()) != islands_.end();
+    const bool used = island_of_tree_[trees[0]] == island.get();
     if (!used && static_cast<int>(trees.size()) < trees_.count())
       ages.emplace_back(island->last_used, &island->trees());
   }
@@ -149,12 +168,22 @@ void World::forget_unused() {
   }
 }
 
+void World::leave_islands() {
+  std::fill(island_of_tree_.begin(), island_of_tree_.end(), nullptr);
+  awake_.clear();
+  count_ = 0;
+  still_changed_ = true;
+  sets_.reset(trees_.count());
+}
+
 // The islands of the interval that starts at t [s].
 void World::regroup(double t) {
-  if (graph_.find_clear() && static_cast<int>(islands_.size()) == trees_.count()) return;
-  sets_.reset(trees_.count());
-  for (Island* island : islands_) island->each_bond([this](int a, int b) { sets_.join(a, b); });
-  if (islands_.empty())  // at the start
+  // Where it is clear nobody awake is a neighbour of somebody of the same island.
+  if (graph_.find_clear() && awake_trees_ == static_cast<int>(awake_.size())) return;
+  for (Island* island : awake_)
+    for (int tree : island->trees()) sets_.isolate(tree);
+  for (Island* island : awake_) island->each_bond([this](int a, int b) { sets_.join(a, b); });
+  if (count_ == 0)  // at the start
     for (const LooseState& loose : loose_)
       for (int guard : loose.touching) {
         const auto [a, b] = trees_.of_guard(*scene_, guard);
@@ -163,52 +192,129 @@ void World::regroup(double t) {
   const double fall = scene_->tree.gravity.norm() * options_.dt * options_.dt;
   if (!graph_.clear()) {
     find_motion();
+    for (Island* island : awake_) island->tell_expected(options_.dt, graph_);
     graph_.join_suspects(state_.q, 2.0 * fall, sets_);
+  } else {
+    graph_.forget_joins();
   }
   replace_islands(t, false);
+}
+
+// The sets of sets_ that are no islands, in the order of their first trees.
+std::vector<std::vector<int>> World::changed_sets() {
+  std::vector<std::pair<int, int>> members;  // root, tree
+  const auto add = [&](const std::vector<int>& trees) {
+    for (int tree : trees) members.emplace_back(sets_.root(tree), tree);
+  };
+  if (count_ == 0)
+    add(numbers_up_to(trees_.count()));
+  else
+    for (Island* island : awake_) add(island->trees());
+  std::vector<Island*> met;  // that lay still
+  for (const auto& [a, b] : graph_.joins())
+    for (int tree : {a, b}) {
+      Island* island = island_of_tree_[tree];
+      if (island == nullptr || !island->asleep() || std::find(met.begin(), met.end(), island) != met.end()) continue;
+      met.push_back(island);
+      add(island->trees());
+    }
+  std::sort(members.begin(), members.end());
+  std::vector<std::vector<int>> changed;
+  std::vector<int> set;
+  for (std::size_t k = 0; k < members.size(); ++k) {
+    set.push_back(members[k].second);
+    if (k + 1 < members.size() && members[k + 1].first == members[k].first) continue;
+    const Island* before = island_of_tree_[set[0]];
+    if (before == nullptr || before->trees() != set) changed.push_back(std::move(set));
+    set.clear();
+  }
+  return changed;
 }
 
 // Makes the islands those of sets_. Islands that stay are kept as they are; the others are dissolved, or undone, and
 // new ones formed, which are in to_run_.
 void World::replace_islands(double t, bool undo) {
   to_run_.clear();
-  std::vector<std::vector<int>> members;
-  std::vector<int>& number = island_of_tree_;
-  bool same = !islands_.empty();
-  for (int tree = 0; tree < trees_.count() && same; ++tree)
-    same = sets_.root(tree) == islands_[number[tree]]->trees()[0];
-  if (same) return;
+  const std::vector<std::vector<int>> changed = changed_sets();
+  if (changed.empty()) return;
   if (!undo) find_motion();
-  members.resize(trees_.count());
-  for (int tree = 0; tree < trees_.count(); ++tree) members[sets_.root(tree)].push_back(tree);
-  std::vector<Island*> now;
-  const auto stays = [&](const std::vector<int>& trees) {
-    if (islands_.empty()) return false;
-    Island* before = islands_[number[trees[0]]];
-    return before->trees() == trees;
-  };
-  for (Island* island : islands_) {
-    if (members[island->trees()[0]] == island->trees()) continue;
-    if (undo) {
-      island->undo(loose_, joint_friction_);
-      island->engine().forget_counts();
-    } else {
-      island->dissolve(loose_, joint_friction_);
+  for (const std::vector<int>& trees : changed)
+    for (int tree : trees) {
+      Island* island = island_of_tree_[tree];
+      if (island == nullptr || island->trees()[0] != tree) continue;
+      --count_;
+      if (island->asleep()) {
+        still_changed_ = true;
+        island->settle(state_.step);
+        island->dissolve(loose_, joint_friction_);
+      } else if (undo) {
+        island->undo(loose_, joint_friction_);
+        island->engine().forget_counts();
+      } else {
+        island->dissolve(loose_, joint_friction_);
+      }
     }
-  }
-  for (const std::vector<int>& trees : members) {
-    if (trees.empty()) continue;
+  for (const std::vector<int>& trees : changed)
+    for (int tree : trees) island_of_tree_[tree] = nullptr;
+  for (const std::vector<int>& trees : changed) {
     Island& island = island_of(trees);
-    now.push_back(&island);
-    if (stays(trees)) continue;
     island.form(state_.q, state_.p, loose_, joint_friction_, t, state_.start_time);
     island.join_graph(graph_);
+    for (int tree : trees) island_of_tree_[tree] = &island;
     to_run_.push_back(&island);
+    ++count_;
   }
-  islands_ = std::move(now);
-  for (std::size_t k = 0; k < islands_.size(); ++k)
-    for (int tree : islands_[k]->trees()) number[tree] = static_cast<int>(k);
+  std::vector<Island*> awake;
+  for (Island* island : awake_)
+    if (island_of_tree_[island->trees()[0]] == island) awake.push_back(island);
+  awake.insert(awake.end(), to_run_.begin(), to_run_.end());
+  set_awake(std::move(awake));
   forget_unused();
+}
+
+// These are advanced from now on.
+void World::set_awake(std::vector<Island*> awake) {
+  awake_ = std::move(awake);
+  std::sort(awake_.begin(), awake_.end(),
+            [](const Island* a, const Island* b) { return a->trees()[0] < b->trees()[0]; });
+  awake_trees_ = 0;
+  std::vector<int> geometries;
+  for (Island* island : awake_) {
+    awake_trees_ += static_cast<int>(island->trees().size());
+    const std::vector<int>& own = island->numbers().geometries;
+    geometries.insert(geometries.end(), own.begin(), own.end());
+  }
+  graph_.set_active(std::move(geometries));
+}
+
+// Tells still_ which islands are passed over, where that has changed.
+void World::find_still() {
+  if (!still_changed_) return;
+  std::vector<Island*> still;
+  std::size_t k = 0;
+  each_island([&](Island& island) {
+    if (k < awake_.size() && awake_[k] == &island)
+      ++k;
+    else
+      still.push_back(&island);
+  });
+  still_.set(std::move(still));
+  still_changed_ = false;
+}
+
+// Of the islands that have made the step to state_, those that have come to rest are passed over from now on.
+void World::let_sleep() {
+  std::vector<Island*> awake;
+  for (Island* island : awake_) {
+    if (!island->asleep()) {
+      awake.push_back(island);
+      continue;
+    }
+    island->gather(q1_, p1_);
+    island->tell_motion(graph_);
+    still_changed_ = true;
+  }
+  if (awake.size() < awake_.size()) set_awake(std::move(awake));
 }
 
 void World::run(Island& island, double length) {
@@ -220,14 +326,14 @@ void World::run(Island& island, double length) {
 // Tells the graph what it was not told while intervals were clear: how far everything has moved in the interval, and
 // before.
 void World::tell_motion() {
-  for (Island* island : islands_) island->tell_motion(graph_);
+  for (Island* island : awake_) island->tell_motion(graph_);
   graph_.measure();
 }
 
 // As this, of the last interval.
 void World::find_motion() {
   if (graph_.knows_motion()) return;
-  for (Island* island : islands_) island->tell_motion(graph_);
+  for (Island* island : awake_) island->tell_motion(graph_);
   graph_.know_motion();
 }
 
@@ -238,8 +344,9 @@ void World::join_met(double t) {
     return;
   }
   if (graph_.clear()) {
-    sets_.reset(trees_.count());
-    for (Island* island : islands_)
+    for (Island* island : awake_)
+      for (int tree : island->trees()) sets_.isolate(tree);
+    for (Island* island : awake_)
       for (int tree : island->trees()) sets_.join(island->trees()[0], tree);
     tell_motion();
   }
@@ -251,7 +358,7 @@ void World::join_met(double t) {
 void World::run_interval(double length) {
   const double t = state_.start_time + static_cast<double>(state_.step) * options_.dt;
   regroup(t);
-  to_run_ = islands_;
+  to_run_ = awake_;
   while (!to_run_.empty()) {
     for (Island* island : to_run_) run(*island, length);
     for (Island* island : to_run_) island->measure(graph_);
@@ -263,7 +370,7 @@ void World::run_interval(double length) {
 bool World::end_early(double length) {
   const double t = state_.start_time + static_cast<double>(state_.step) * options_.dt;
   Island* first = nullptr;
-  for (Island* island : islands_)
+  for (Island* island : awake_)
     if (island->ended_early() &&
         (first == nullptr || island->engine().state().status.time < first->engine().state().status.time))
       first = island;
@@ -272,7 +379,7 @@ bool World::end_early(double length) {
   state_.status = first->engine().state().status;
   if (state_.status.guard >= 0) state_.status.guard = first->numbers().guards[state_.status.guard];
   const double taken = std::clamp(state_.status.time - t, 0.0, length);
-  for (Island* island : islands_) {
+  for (Island* island : awake_) {
     if (island == first) continue;
     island->undo(loose_, joint_friction_);
     island->engine().forget_counts();
@@ -286,28 +393,57 @@ bool World::end_early(double length) {
 }
 
 void World::set_inputs(const MatX& tau, const MatX& target, long k) {
-  if (tau.rows() > 0) tau_ = tau.row(k).transpose();
+  const auto set = [this](VecX& to, VecX&& now) {
+    wake_by_inputs(now, to);
+    to = std::move(now);
+  };
+  set(tau_, tau.rows() > 0 ? VecX(tau.row(k).transpose()) : VecX());
   if (q_ref_.size() == 0 || target.rows() == 0) return;
-  q_ref_ = target.row(k).head(scene_->tree.nv).transpose();
-  v_ref_ = target.row(k).tail(scene_->tree.nv).transpose();
+  set(q_ref_, target.row(k).head(scene_->tree.nv).transpose());
+  set(v_ref_, target.row(k).tail(scene_->tree.nv).transpose());
+}
+
+// What lies still goes on where one of its inputs has changed, or where there were none before.
+void World::wake_by_inputs(const VecX& now, const VecX& before) {
+  if (awake_trees_ == trees_.count()) return;
+  std::vector<Island*> awake = awake_;
+  const auto wake = [&](Island& island) {
+    if (!island.asleep()) return;
+    island.wake(state_.step);
+    awake.push_back(&island);
+  };
+  if (now.size() != before.size()) {
+    each_island(wake);
+  } else {
+    for (Eigen::Index d = 0; d < now.size(); ++d)
+      if (now[d] != before[d]) wake(*island_of_tree_[trees_.of_joint(scene_->tree.dof_joint[d])]);
+  }
+  if (awake.size() == awake_.size()) return;
+  find_motion();
+  still_changed_ = true;
+  set_awake(std::move(awake));
+  graph_.end_clear();
 }
 
 // The ends of all islands become the state.
 void World::accept(double t, double length, Recording& recording) {
-  q1_ = state_.q;
-  p1_ = state_.p;
-  for (Island* island : islands_) {
+  for (Island* island : awake_) {
     island->gather(q1_, p1_);
+    if (island->asleep()) island->fall_asleep(state_.step, length);
     RunState& part = island->engine().state();
     state_.work.take(part.work, island->numbers().reactions);
     add_counts(part, state_);
     state_.dense_steps += static_cast<long>(island->recording().dense.size());
     island->engine().forget_counts();
   }
+  find_still();
+  still_.add_reactions(length, state_.work);
+  state_.dense_steps += still_.dense_steps();
   merge_recordings(t, length, recording);
   state_.q.swap(q1_);
   state_.p.swap(p1_);
   graph_.commit();
+  let_sleep();
 }
 
 void World::record_node(Recording& recording) {
@@ -338,7 +474,6 @@ Status World::advance(long steps, const MatX& tau, const MatX& target, long reco
   last_report_ = std::chrono::steady_clock::now();
   state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
   if (tau.rows() > 0) state_.work.expect_inputs();
-  tau_.resize(0);
   if (recording.t.empty()) record_node(recording);
   std::vector<ChangeRecord>& initial = state_.initial_changes;
   recording.changes.insert(recording.changes.end(), initial.begin(), initial.end());
@@ -395,12 +530,18 @@ std::shared_ptr<const SavedWorld> World::save() {
   saved->joint_friction = joint_friction_;
   find_motion();
   saved->motion = graph_.motion();
+  saved->straight = graph_.straight();
+  saved->tau = tau_;
   saved->q_ref = q_ref_;
   saved->v_ref = v_ref_;
   saved->counters = counters();
-  for (Island* island : islands_)
-    saved->islands.push_back({island->trees(), island->engine().save(), island->rest(),
-                              island->asleep() ? island->recording() : Recording(), island->tau(), island->target()});
+  each_island([&](Island& island) {
+    const bool asleep = island.asleep();
+    if (asleep) island.settle(state_.step);
+    saved->islands.push_back({island.trees(), island.engine().save(), island.rest(),
+                              asleep ? island.recording() : Recording(), asleep ? island.mean_reactions() : VecX(),
+                              island.tau(), island.target()});
+  });
   return saved;
 }
 
@@ -413,18 +554,27 @@ void World::restore(const SavedWorld& saved) {
   state_ = saved.run;
   loose_ = saved.loose;
   joint_friction_ = saved.joint_friction;
+  tau_ = saved.tau;
   q_ref_ = saved.q_ref;
   v_ref_ = saved.v_ref;
-  graph_.restart(saved.motion);
-  islands_.clear();
+  graph_.restart(saved.motion, saved.straight);
+  q1_ = state_.q;
+  p1_ = state_.p;
+  leave_islands();
+  std::vector<Island*> awake;
   for (const SavedWorld::SavedIsland& from : saved.islands) {
     Island& island = island_of(from.trees);
     island.engine().restore(*from.engine);
-    island.restore_rest(from.rest, from.record, from.tau, from.target);
+    island.restore_rest(from.rest, from.record, from.mean_reactions, from.tau, from.target, state_.step);
     island.join_graph(graph_);
-    for (int tree : from.trees) island_of_tree_[tree] = static_cast<int>(islands_.size());
-    islands_.push_back(&island);
+    for (int tree : from.trees) {
+      island_of_tree_[tree] = &island;
+      sets_.join(from.trees[0], tree);
+    }
+    ++count_;
+    if (!island.asleep()) awake.push_back(&island);
   }
+  set_awake(std::move(awake));
   for (auto& [trees, island] : pool_) island->engine().reset_counters();
   whole_.reset_counters();
   forgotten_ = saved.counters;

@@ -2,6 +2,9 @@
 // island is advanced over the interval by an engine of its own. What happens in an island, to the last bit, does not
 // depend on the others.
 //
+// An interval costs what happens in it: islands that lie still are passed over until something meets them or an input
+// of theirs changes.
+//
 // An island assumes that its trees meet none of the others in the interval. Where one has moved further than that, the
 // islands that it may have met become one, and the interval is done again from its start.
 #pragma once
@@ -12,6 +15,7 @@
 #include "run/island.hpp"
 #include "run/island_graph.hpp"
 #include "run/side_by_side.hpp"
+#include "run/still_islands.hpp"
 
 namespace contactvi {
 
@@ -52,7 +56,7 @@ class World {
   // Summed over the engines.
   EngineCounters counters() const;
   // Islands now; 0 where all trees are advanced together.
-  int islands() const { return divided_ ? static_cast<int>(islands_.size()) : 0; }
+  int islands() const { return divided_ ? count_ : 0; }
 
   std::shared_ptr<const SavedWorld> save();
   void restore(const SavedWorld& saved);
@@ -67,11 +71,21 @@ class World {
 
   bool may_divide() const;
   void divide(const VecX& v);
+  void leave_islands();
+  MatX straight_paths(const VecX& v) const;
   void unite();
   Island& island_of(const std::vector<int>& trees);
   void forget_unused();
   void regroup(double t);
+  template <class Call>
+  void each_island(Call call) const;
+  bool all_alone() const { return static_cast<int>(awake_.size()) == trees_.count(); }
+  std::vector<std::vector<int>> changed_sets();
   void replace_islands(double t, bool undo);
+  void set_awake(std::vector<Island*> awake);
+  void find_still();
+  void let_sleep();
+  void wake_by_inputs(const VecX& now, const VecX& before);
   void run(Island& island, double length);
   void run_interval(double length);
   void join_met(double t);
@@ -99,20 +113,33 @@ class World {
   RunState state_;  // of all islands together
   std::vector<LooseState> loose_;
   std::vector<JointFriction> joint_friction_;
-  // Every island that has been in use, until it is forgotten; those in use now, by their first tree, which is in the
-  // order of the bodies; and the number among these of each tree's.
+  // Every island that has been in use, until it is forgotten; that of each tree now; those that do not lie still, in
+  // the order of their first trees.
   std::map<std::vector<int>, std::unique_ptr<Island>> pool_;
-  std::vector<Island*> islands_, to_run_;
-  std::vector<int> island_of_tree_;
+  std::vector<Island*> island_of_tree_, awake_, to_run_;
+  int count_ = 0, awake_trees_ = 0;  // of islands now; of the trees of awake_
+  StillIslands still_;
+  bool still_changed_ = false;  // who lies still is not yet known to still_
+  // Of all trees while none is advanced; later of those that are awake anew in each interval, while those of the others
+  // stay.
   DisjointSets sets_;
   SideBySide* company_ = nullptr;
   EngineCounters forgotten_;  // of islands that are in the pool no more
-  VecX tau_, q_ref_, v_ref_, q1_, p1_;
+  VecX tau_, q_ref_, v_ref_;
+  VecX q1_, p1_;  // the state after the interval; of what lies still at any time
   std::vector<Entry> entries_;
   std::vector<double> foreseen_;  // of intervals in which nothing happens: as how many reference intervals they count
   const Progress* progress_ = nullptr;
   Progress island_progress_;
   std::chrono::steady_clock::time_point last_report_;
 };
+
+template <class Call>
+void World::each_island(Call call) const {
+  for (int tree = 0; tree < trees_.count(); ++tree) {
+    Island* island = island_of_tree_[tree];
+    if (island != nullptr && island->trees()[0] == tree) call(*island);
+  }
+}
 
 }  // namespace contactvi

@@ -25,7 +25,7 @@ void interpolate(const Tree& tree, const VecX& q0, const VecX& q1, double x, Vec
 template <class Count, class Time, class Put>
 void World::merge(Count count, Time time, Put put) {
   entries_.clear();
-  for (Island* island : islands_)
+  for (Island* island : awake_)
     for (std::size_t row = 0; row < count(island->recording()); ++row)
       entries_.push_back({time(island->recording(), row), island, row});
   const auto earlier = [](const Entry& a, const Entry& b) { return a.time < b.time; };
@@ -41,7 +41,7 @@ void World::add_impact(const Entry& entry, double t, double length, Recording& r
   const double x = length > 0.0 ? std::clamp((impact.time - t) / length, 0.0, 1.0) : 0.0;
   VecX q(state_.q.size()), p = (1.0 - x) * state_.p + x * p1_;
   interpolate(scene_->tree, state_.q, q1_, x, q);
-  for (Island* island : islands_) {
+  for (Island* island : awake_) {
     if (x == 0.0 || !island->constrained() || island == entry.island) continue;
     if (!graph_.measured()) tell_motion();  // the island makes a step more, which is not of the motion
     island->gather_at(state_.q, state_.p, state_.step, t, x * length, island_progress_, q, p);
@@ -52,10 +52,11 @@ void World::add_impact(const Entry& entry, double t, double length, Recording& r
 // The kind of the world's steps is the highest one of its islands.
 void World::merge_phases(double t, Recording& recording) {
   const auto free = [](Island* island) { return island->recording().phase_t.empty(); };
-  if (recording.phase_t.empty() && std::all_of(islands_.begin(), islands_.end(), free)) return;
-  int kind = static_cast<int>(StepKind::kFree);
-  double begins = t, dt = options_.dt;
-  for (Island* island : islands_) {
+  int kind = static_cast<int>(still_.kind());
+  const bool still_free = still_.kind() == StepKind::kFree;
+  if (recording.phase_t.empty() && still_free && std::all_of(awake_.begin(), awake_.end(), free)) return;
+  double begins = t, dt = still_free ? options_.dt : still_.kind_dt();
+  for (Island* island : awake_) {
     const Recording& part = island->recording();
     for (std::size_t k = 0; k < part.phase_t.size(); ++k) {
       if (part.phase_kind[k] < kind || (part.phase_kind[k] == kind && part.phase_t[k] >= begins)) continue;
@@ -70,7 +71,8 @@ void World::merge_phases(double t, Recording& recording) {
 }
 
 void World::merge_recordings(double t, double length, Recording& recording) {
-  if (std::none_of(islands_.begin(), islands_.end(), [](Island* island) { return island->recording().any_entry(); })) {
+  if (length > 0.0) still_.record(state_.step, state_.start_time, options_.dt, t, length, recording);
+  if (std::none_of(awake_.begin(), awake_.end(), [](Island* island) { return island->recording().any_entry(); })) {
     merge_phases(t, recording);
     return;
   }

@@ -62,3 +62,11 @@ def advance(scene, model: pin.Model, q, v, h: float, steps: int, every: int = 1,
     result = run.advance(steps, forces, every, None)
     assert result["code"] == 0, result["message"]
     return result["t"], result["q"], result["p"]
+
+
+def contacts_of(result, scene):
+    """Columns of the contacts in a result of this cvi.Scene, those of what lies still among them."""
+    from contactvi.records.still import Span, WithStill
+
+    spans = [Span(rows.columns(scene.core()), *span) for rows, *span in result["still"] or ()]
+    return WithStill(result["contacts"], spans) if spans else result["contacts"]
