@@ -73,7 +73,8 @@ def follow() -> Callable[[float, int], None]:
 
 def started(job: dict[str, Any], setup: scenes.Setup) -> cvi.Simulator | None:
     """A simulator at the start; None where the start is refused."""
-    simulator = cvi.Simulator(setup.scene, dt=job["dt"], **job.get("options", {}))
+    options = {"record_every": job.get("record_every", 1), **job.get("options", {})}
+    simulator = cvi.Simulator(setup.scene, dt=job["dt"], **options)
     try:
         simulator.reset(setup.q0, setup.v0)
     except cvi.ContactviError as error:
@@ -157,8 +158,8 @@ def idle_contactvi(job: dict[str, Any], setup: scenes.Setup) -> None:
 
         def run(simulator: cvi.Simulator = simulator, one: scenes.Setup = one) -> float:
             simulator.reset(one.q0, one.v0)
-            # What is at rest from the start may need some steps to be found so.
-            simulator.run(20, progress=follow())
+            # What is at rest from the start is found so after 32 steps.
+            simulator.run(40, progress=follow())
             began = time.process_time()
             simulator.run(steps, progress=follow())
             return time.process_time() - began

@@ -304,6 +304,10 @@ class Record:
         twin.inputs = None if self.inputs is None else self.inputs.copy()
         return twin
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what pickle keeps: not the rows that are known by what they are in the engine."""
+        return {**vars(self), "_still": None}
+
     def cut(self, time: float) -> None:
         """Forget what was recorded after the first node at or after `time` [s]."""
         t, q, p = self.nodes()

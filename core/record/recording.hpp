@@ -122,6 +122,15 @@ struct Recording {
     phase_dt.push_back(dt);
     phase_kind.push_back(static_cast<int>(kind));
   }
+  // Makes room for so many more nodes, as far as that is no large part of the memory: arrays that grow are copied, and
+  // their pages are new ones each time.
+  void expect(long nodes, int nq, int nv) {
+    constexpr std::size_t most = std::size_t{1} << 23;
+    const std::size_t count = static_cast<std::size_t>(nodes);
+    for (const auto& [list, each] : {std::pair(&t, 1), std::pair(&q, nq), std::pair(&p, nv)})
+      if (const std::size_t more = count * static_cast<std::size_t>(each); count < most && more < most)
+        list->reserve(list->size() + more);
+  }
   // Forgets impacts, contacts, changes, dense steps and phases, and keeps their memory.
   void clear() {
     impacts.clear();

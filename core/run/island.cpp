@@ -206,6 +206,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
   engine_->take_over(to, fresh_, t, start_time);
   engine_->guards().begin_interval();
   rest_.steps = 0;
+  passed_over_ = false;
   forget_straight();
 }
 
@@ -313,6 +314,7 @@ bool Island::set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref) {
 
 void Island::fall_asleep(long step, double length) {
   settled_ = step + 1;
+  passed_over_ = true;
   engine_->state().dense.located = LocatedCost();
   mean_reactions_.resize(0);
   const WorkTally& done = engine_->state().work.tally();
@@ -330,10 +332,16 @@ template <class Before>
 void Rest::count_with(Before before, const double* now, const VecX& levers, bool quiet) {
   const Eigen::Index size = levers.size();
   bool still = quiet && steps > 0;
-  double largest = 1.0;
-  for (Eigen::Index i = 0; i < size && still; ++i) largest = std::max(largest, std::abs(now[i]));
-  for (Eigen::Index i = 0; i < size && still; ++i)
-    still = std::abs(now[i] - (steps > 1 ? q[i] : before(i))) * levers[i] <= kStill * largest;
+  double moved = 0.0;
+  for (Eigen::Index i = 0; i < size && still; ++i) {
+    moved = std::max(moved, std::abs(now[i] - (steps > 1 ? q[i] : before(i))) * levers[i]);
+    still = moved <= kMoves;
+  }
+  if (still && moved > kStill) {
+    double largest = 1.0;
+    for (Eigen::Index i = 0; i < size; ++i) largest = std::max(largest, std::abs(now[i]));
+    still = moved <= kStill * largest;
+  }
   if (!still) {
     steps = quiet ? 1 : 0;
     return;
@@ -371,6 +379,7 @@ void Island::restore_rest(const Rest& rest, const Recording& record, const VecX&
   tau_ = tau;
   target_ = target;
   forget_straight();
+  passed_over_ = asleep();
   settled_ = step;
 }
 

@@ -34,6 +34,7 @@ struct Rest {
   // How far a point of a body may be from where it was at the first of them, over the larger of 1 and the largest
   // coordinate: two spacings of the doubles there. A turn counts by what it moves the body's points.
   static constexpr double kStill = 4.5e-16;
+  static constexpr double kMoves = 1e-9;  // [m] this is no rest at coordinates below 2000 km, and not looked at further
 
   int steps = 0;
   VecX q;  // at the end of the first of them, once there are two
@@ -85,14 +86,16 @@ class Island {
   // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
   // changes: its trees, or its inputs.
   bool asleep() const { return rest_.steps >= Rest::kSteps; }
-  // Step `step` of this length [s], the last one that it has made, has put it to sleep.
+  // Step `step` of this length [s], the last one that it has made, has put it to sleep: it is passed over from now on.
   void fall_asleep(long step, double length);
   // Counts what it would have counted in the steps before `step`, which it has slept through.
   void settle(long step);
   void wake(long step) {
     settle(step);
     rest_.steps = 0;
+    passed_over_ = false;
   }
+  bool passed_over() const { return passed_over_; }
   // Asleep: mean forces of its constraints; empty where it has none.
   const VecX& mean_reactions() const { return mean_reactions_; }
   const Rest& rest() const { return rest_; }
@@ -177,7 +180,8 @@ class Island {
   bool ok_ = true;
   bool depends_on_time_ = false;  // some force or constraint is a function of time
   Rest rest_;
-  long settled_ = 0;  // asleep: the steps before this one are counted
+  bool passed_over_ = false;
+  long settled_ = 0;  // passed over: the steps before this one are counted
   VecX mean_reactions_;
 };
 

@@ -121,7 +121,7 @@ void World::divide(const VecX& v) {
 void World::unite() {
   if (!divided_) return;
   each_island([this](Island& island) {
-    if (island.asleep()) island.settle(state_.step);
+    if (island.passed_over()) island.settle(state_.step);
     island.dissolve(loose_, joint_friction_);
   });
   leave_islands();
@@ -202,6 +202,14 @@ void World::regroup(double t) {
 
 // The sets of sets_ that are no islands, in the order of their first trees.
 std::vector<std::vector<int>> World::changed_sets() {
+  const auto sleeps = [this](int tree) {
+    return island_of_tree_[tree] != nullptr && island_of_tree_[tree]->passed_over();
+  };
+  bool same = count_ > 0;
+  for (std::size_t k = 0; k < awake_.size() && same; ++k)
+    for (int tree : awake_[k]->trees()) same = same && sets_.root(tree) == awake_[k]->trees()[0];
+  for (const auto& [a, b] : graph_.joins()) same = same && !sleeps(a) && !sleeps(b);
+  if (same) return {};
   std::vector<std::pair<int, int>> members;  // root, tree
   const auto add = [&](const std::vector<int>& trees) {
     for (int tree : trees) members.emplace_back(sets_.root(tree), tree);
@@ -214,7 +222,7 @@ std::vector<std::vector<int>> World::changed_sets() {
   for (const auto& [a, b] : graph_.joins())
     for (int tree : {a, b}) {
       Island* island = island_of_tree_[tree];
-      if (island == nullptr || !island->asleep() || std::find(met.begin(), met.end(), island) != met.end()) continue;
+      if (!sleeps(tree) || std::find(met.begin(), met.end(), island) != met.end()) continue;
       met.push_back(island);
       add(island->trees());
     }
@@ -243,7 +251,7 @@ void World::replace_islands(double t, bool undo) {
       Island* island = island_of_tree_[tree];
       if (island == nullptr || island->trees()[0] != tree) continue;
       --count_;
-      if (island->asleep()) {
+      if (island->passed_over()) {
         still_changed_ = true;
         island->settle(state_.step);
         island->dissolve(loose_, joint_friction_);
@@ -306,7 +314,7 @@ void World::find_still() {
 void World::let_sleep() {
   std::vector<Island*> awake;
   for (Island* island : awake_) {
-    if (!island->asleep()) {
+    if (!island->passed_over()) {
       awake.push_back(island);
       continue;
     }
@@ -408,7 +416,7 @@ void World::wake_by_inputs(const VecX& now, const VecX& before) {
   if (awake_trees_ == trees_.count()) return;
   std::vector<Island*> awake = awake_;
   const auto wake = [&](Island& island) {
-    if (!island.asleep()) return;
+    if (!island.passed_over()) return;
     island.wake(state_.step);
     awake.push_back(&island);
   };
@@ -474,6 +482,7 @@ Status World::advance(long steps, const MatX& tau, const MatX& target, long reco
   last_report_ = std::chrono::steady_clock::now();
   state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
   if (tau.rows() > 0) state_.work.expect_inputs();
+  if (steps > 1) recording.expect(steps / record_every + 2, scene_->tree.nq, scene_->tree.nv);
   if (recording.t.empty()) record_node(recording);
   std::vector<ChangeRecord>& initial = state_.initial_changes;
   recording.changes.insert(recording.changes.end(), initial.begin(), initial.end());
@@ -536,7 +545,7 @@ std::shared_ptr<const SavedWorld> World::save() {
   saved->v_ref = v_ref_;
   saved->counters = counters();
   each_island([&](Island& island) {
-    const bool asleep = island.asleep();
+    const bool asleep = island.passed_over();
     if (asleep) island.settle(state_.step);
     saved->islands.push_back({island.trees(), island.engine().save(), island.rest(),
                               asleep ? island.recording() : Recording(), asleep ? island.mean_reactions() : VecX(),
@@ -572,7 +581,7 @@ void World::restore(const SavedWorld& saved) {
       sets_.join(from.trees[0], tree);
     }
     ++count_;
-    if (!island.asleep()) awake.push_back(&island);
+    if (!island.passed_over()) awake.push_back(&island);
   }
   set_awake(std::move(awake));
   for (auto& [trees, island] : pool_) island->engine().reset_counters();
