@@ -279,7 +279,7 @@ class NotDifferentiable(ContactviError):
       (a force that jumps, in a step whose time moves);
     - of a persistent contact: "release", "stick", "redundant" points that share a load, "node" (an event at the end of
       a step), "inside" of a step, "dense" steps;
-    - "law": a law of contact for which files of older versions lack what derivatives need;
+    - "law": a law of contact for which files of older versions lack what derivatives need, or dense steps have none;
     - "second": there is a first derivative, but no second one that is known.
     """
 

@@ -8,13 +8,14 @@ law, and cost nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from contactvi.errors import InputError, SceneError
 from contactvi.inputs import check_choice, flag, listed, positive, real, short, vector
+from contactvi.scene.body_adhesion import BodyAdhesion, adhesive_bodies
 from contactvi.scene.number_functions import NumberFunction, NumberTable, number_function
 from contactvi.scene.pair_rules import Rule, smaller
 
@@ -67,6 +68,7 @@ class PairLaw:
         friction_axis: of friction that depends on its direction.
         adhesion: pull up to which the surfaces stay together [N].
         adhesion_of_time: that pull by the time, instead of the number.
+        adhesive: the pulls of its bodies on all that they touch, besides.
     """
 
     restitution_law: str = "poisson"
@@ -81,6 +83,7 @@ class PairLaw:
     friction_axis: FrictionAxis | None = None
     adhesion: float = 0.0
     adhesion_of_time: NumberFunction | None = None
+    adhesive: tuple[BodyAdhesion, ...] = ()
 
     def engine(self, pair: tuple[str, str]) -> dict[str, Any]:
         """Return it as the arguments of the engine; `pair` names it in messages of its functions."""
@@ -120,10 +123,10 @@ class PairLaw:
     @property
     def adheres(self) -> bool:
         """Whether its surfaces pull at each other."""
-        return self.adhesion > 0.0 or self.adhesion_of_time is not None
+        return self.adhesion > 0.0 or self.adhesion_of_time is not None or bool(self.adhesive)
 
     def pull(self, t: float) -> float:
-        """Return the adhesion at a time [s] in N."""
+        """Return the adhesion of the pair by itself at a time [s] in N."""
         given = self.adhesion_of_time
         return self.adhesion if given is None else given.at(t, "a law of adhesion")
 
@@ -164,16 +167,20 @@ class PairLaw:
     @property
     def storable(self) -> bool:
         """Whether it holds no function."""
-        return all(getattr(getattr(self, f.name), "storable", True) for f in fields(self))
+        single = all(getattr(getattr(self, f.name), "storable", True) for f in fields(self))
+        return single and all(adhesion.storable for adhesion in self.adhesive)
 
     def to_data(self) -> dict[str, Any]:
         """Return what is not the default as plain data; functions are left out."""
         plain = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
-        return {
+        stored = {
             name: value.to_data() if isinstance(value, NumberTable | FrictionAxis) else value
             for name, value in plain.items()
             if getattr(value, "storable", True)
         }
+        if self.adhesive:
+            stored["adhesive"] = [adhesion.to_data() for adhesion in self.adhesive if adhesion.storable]
+        return stored
 
 
 def _argument(name: str) -> str:
@@ -186,6 +193,8 @@ def _words(name: str, value: Any) -> str:
     if isinstance(value, FrictionAxis):
         axis = ", ".join(f"{x:g}" for x in value.axis)
         return f"friction {value.along:g} along ({axis}) of {value.geometry!r} and {value.across:g} across"
+    if name == "adhesive":
+        return ", ".join(adhesion.name.removeprefix("the ") for adhesion in value)
     speed = "the closing speed" if name.startswith("restitution") else "the speed of the slip"
     for ending, of in (("_of_speed", speed), ("_of_time", "the time")):
         if name.endswith(ending):
@@ -198,7 +207,7 @@ DEFAULTS = {f.name: f.default for f in fields(PairLaw)}
 CONTACT_SETTINGS = (
     "restitution",
     "friction",
-    *(name for name in DEFAULTS if not name.endswith(("_of_speed", "_of_time"))),
+    *(name for name in DEFAULTS if not name.endswith(("_of_speed", "_of_time")) and name != "adhesive"),
 )
 
 
@@ -304,9 +313,14 @@ class _Agreed:
 
 @dataclass
 class LawRules:
-    """The settings of laws that have been given, each a rule by its name."""
+    """The settings of laws that have been given, each a rule by its name.
+
+    Attributes:
+        bodies: adhesion of bodies, with the names of their geometries.
+    """
 
     rules: dict[str, Rule] = field(default_factory=dict)
+    bodies: list[tuple[frozenset[str], BodyAdhesion]] = field(default_factory=list)
 
     def set(self, name: str, first: Sequence[str] | None, second: Sequence[str] | None, value: Any) -> None:
         """Set a setting for all pairs, for geometries (`first`), or between `first` and `second`."""
@@ -318,12 +332,14 @@ class LawRules:
 
     def laws(self, names: Sequence[tuple[str, str]]) -> list[tuple[PairLaw, list[int]]]:
         """Return the laws of pairs of names that have one, each with the places of its pairs."""
-        if not self.rules:
+        if not self.rules and not self.bodies:
             return []
         found: dict[PairLaw, list[int]] = {}
         plain = PairLaw()
         for k, (a, b) in enumerate(names):
             law = PairLaw(**{name: rule.value(a, b) for name, rule in self.rules.items()})
+            if adhesive := adhesive_bodies(self.bodies, a, b):
+                law = replace(law, adhesive=adhesive)
             law.check(a, b)
             if law != plain:
                 found.setdefault(law, []).append(k)
@@ -372,6 +388,8 @@ def laws_from_data(rows: Sequence[Mapping[str, Any]]) -> LawRules:
                 continue
             if name == "friction_axis":
                 value = FrictionAxis(str(value[0]), tuple(map(float, value[1])), float(value[2]), float(value[3]))
+            elif name == "adhesive":
+                value = tuple(map(BodyAdhesion.from_data, value))
             elif name.endswith(("_of_speed", "_of_time")):
                 value = NumberTable(*(tuple(map(float, numbers)) for numbers in value))
             else:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from contactvi.importing.part import Part
+from contactvi.scene.body_adhesion import BodyAdhesion
 from contactvi.scene.compliance import ComplianceRule
 from contactvi.scene.contact_laws import LawRules
 from contactvi.scene.pair_rules import Rule
@@ -47,6 +48,12 @@ class ContactRules:
         for names, radii in part.data.turning.items():
             for setting, radius in zip(("spinning_radius", "rolling_radius"), radii, strict=True):
                 self.laws.rule(setting).set_from_file([part.prefix + name for name in names], radius)
+
+    def set_body_adhesion(self, shapes: frozenset[str], adhesion: BodyAdhesion | None) -> None:
+        """Let the body of these geometries pull at all that it touches, in place of how it did so far; None: not."""
+        self.laws.bodies = [(names, other) for names, other in self.laws.bodies if names != shapes]
+        if adhesion is not None:
+            self.laws.bodies.append((shapes, adhesion))
 
     def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
         """Switch off all pairs of one of `first` and one of `second`."""

@@ -72,11 +72,15 @@ def make_engine_scene(
             arrays.limit_restitution,
             RoundedHulls(),
         )
+        adhesive = list(dict.fromkeys(adhesion for law, _ in laws for adhesion in law.adhesive))
+        for adhesion in adhesive:
+            scene.add_body_pull(adhesion.pull.engine(adhesion.name))
         for law, places in laws:
+            pulls = [adhesive.index(adhesion) for adhesion in law.adhesive]
             # An axis of friction is the first geometry's in some pairs and the second one's in others.
             for group in [places] if law.friction_axis is None else [[place] for place in places]:
                 a, b = (collision.geometryObjects[int(k)].name for k in pairs[group[0]])
-                scene.set_contact_law(group, **law.engine((a, b)))
+                scene.set_contact_law(group, **law.engine((a, b)), body_pulls=pulls)
         for name, surface in surfaces.items():
             number = collision.getGeometryId(name)
             surface.put(scene, number, name)

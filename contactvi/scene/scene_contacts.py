@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from contactvi.aliases import callers
 from contactvi.errors import UnusedSettingWarning
 from contactvi.keywords import refusing_methods
+from contactvi.scene.body_adhesion import BodyAdhesion, check_body
 from contactvi.scene.build import Built
 from contactvi.scene.compliance import Compliance
 from contactvi.scene.contact_laws import checked_contact
@@ -69,7 +70,7 @@ class SceneContacts:
                 by default that of a slip of zero.
             adhesion: pull [N] up to which the surfaces stay together once they touch, by default 0, shared by as many
                 points as have touched at once; the friction is that of the normal force and the pull together. Or a
-                table (n, 2) of times [s] and pulls, or a function of the time. Scenes with it take no dense steps.
+                table (n, 2) of times [s] and pulls, or a function of the time.
             restitution_law: "poisson" (default), the ratio of the impulses of expansion and compression; "newton", of
                 the speeds after and before; "energetic" (Stronge), whose square is the ratio of the works of the
                 normal impulse. Without friction all three are the same.
@@ -85,8 +86,7 @@ class SceneContacts:
                 friction times normal force (Leine and Glocker 2003), so that a pure spin meets a torque of
                 friction r_s times normal force.
             rolling_radius: r_r >= 0 [m], by default 0: friction against rolling, a torque along the tangents of at
-                most r_r times the normal force. Both radii need friction > 0; scenes with them know no dense steps
-                and no derivatives.
+                most r_r times the normal force. Both radii need friction > 0.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -187,6 +187,31 @@ class SceneContacts:
                 self._contact.surface_motions[name] = motion
             else:
                 self._contact.surface_motions.pop(name, None)
+        self._built = None
+
+    def set_body_adhesion(self, body: Selector, pull: float | ArrayLike | Callable[[float], float]) -> None:
+        """Let a body stick to whatever it touches: a gripper's pad, a foot of a climber.
+
+        The pull acts along the normals of all contacts of the body, shared by as many points as have touched at once,
+        beside the adhesion of their pairs (`set_contact(adhesion=)`), of which it is a kind. It replaces what was set
+        for the body; 0 takes it away. An adhesion actuator of an MJCF (`PartHandle.actuators`, kind "adhesion")
+        pulls with nothing until this is called, for example with `lambda t: actuator.force(ctrl(t))`.
+
+        Args:
+            body: one body that moves, with shapes.
+            pull: [N], >= 0: a number, a table (n, 2) of times [s] and pulls, or a function of the time, which may read
+                what a program changes between the steps of a `Simulator`.
+
+        Raises:
+            InputError: bad numbers, or no such body.
+        """
+        names = self._parts.names
+        shapes = frozenset(self._geometries(body, "body"))
+        collision = self._parts.assembly.collision.geometryObjects
+        joints = {int(collision[names.geometries[name]].parentJoint) for name in shapes}
+        bodies = [name for name, places in names.bodies.items() if {collision[k].name for k in places} & shapes]
+        check_body(str(body), bodies, joints != {0})
+        self._contact.set_body_adhesion(shapes, BodyAdhesion.checked(bodies[0], pull))
         self._built = None
 
     def _warn_if_untested(self, first: Sequence[str], second: Sequence[str]) -> None:

@@ -38,7 +38,32 @@ _UNIT = 1e-6  # by how much the gradient of a distance may differ from a unit ve
 _AGREE = 1e-5  # of 1 + the gradient: what a given gradient and differences may differ by
 TOUCHING = (coal.Sphere, coal.Capsule, coal.Box, coal.Convex)
 _VALUES = {"height": 6, "distance": 4}
-_TWO = (np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]))
+
+
+def _stencil(dimensions: int) -> tuple[Array, Array]:
+    """Return places (m, dimensions) around a point, and the numbers (m, .) by which values there are its differences.
+
+    Of heights with what is f, f_x, f_y, f_xx, f_xy, f_yy, of distances d, d_x, d_y, d_z.
+    """
+    axes = np.eye(dimensions)
+    steps = [np.zeros(dimensions), *(k * e for e in axes for k in (-2.0, -1.0, 1.0, 2.0))]
+    if dimensions == 2:
+        steps += [np.array([x, y]) for x in (1.0, -1.0) for y in (1.0, -1.0)]
+    numbers = np.zeros((len(steps), _VALUES["height" if dimensions == 2 else "distance"]))
+    numbers[0, 0] = 1.0
+    for axis in range(dimensions):
+        own = slice(1 + 4 * axis, 5 + 4 * axis)
+        numbers[own, 1 + axis] = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * H)
+        if dimensions == 2:
+            numbers[own, 3 + 2 * axis] = np.array([-1.0, 16.0, 16.0, -1.0]) / (12.0 * H * H)
+            numbers[0, 3 + 2 * axis] = -30.0 / (12.0 * H * H)
+    if dimensions == 2:
+        numbers[9:, 4] = np.array([1.0, -1.0, -1.0, 1.0]) / (4.0 * H * H)
+    return H * np.array(steps), numbers
+
+
+_STENCILS = {"height": _stencil(2), "distance": _stencil(3)}
+_GRADIENTS = H_GRADIENT * np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,54 +124,38 @@ class FunctionSurface(GivenSurface):
         asks = f"numbers for each point: it gets an array of points, shape {points.shape}, and returns one"
         return checked(value, what, None, (len(points), *shape), asks)
 
+    def _by_differences(self, what: str, points: Array) -> Array:
+        assert self.function is not None
+        places, numbers = _STENCILS[self.kind]
+        found = self._asked(self.function, what, _around(points, places))
+        return found.reshape(len(places), len(points)).T @ numbers
+
     def _height(self, what: str, points: Array) -> Array:
         assert self.function is not None
+        if self.gradient is None:
+            return self._by_differences(what, points)
         n = len(points)
         rows = np.empty((n, 6))
-        if self.gradient is None:
-            return self._height_by_differences(what, points, rows)
         rows[:, 0] = self._asked(self.function, what, points)
         if self.hessian is not None:
             rows[:, 1:3] = self._asked(self.gradient, f"the gradient of {what}", points, 2)
             hessian = self._asked(self.hessian, f"the Hessian of {what}", points, 2, 2)
             rows[:, 3:] = hessian[:, [0, 0, 1], [0, 1, 1]]
             return rows
-        places = np.concatenate([points, *(points + s * H_GRADIENT * e for e in _TWO[0] for s in (1.0, -1.0))])
-        found = self._asked(self.gradient, f"the gradient of {what}", places, 2).reshape(5, n, 2)
+        found = self._asked(self.gradient, f"the gradient of {what}", _around(points, _GRADIENTS), 2).reshape(5, n, 2)
         rows[:, 1:3] = found[0]
         along_x, along_y = ((found[k] - found[k + 1]) / (2.0 * H_GRADIENT) for k in (1, 3))
         rows[:, 3], rows[:, 5] = along_x[:, 0], along_y[:, 1]
         rows[:, 4] = 0.5 * (along_x[:, 1] + along_y[:, 0])
         return rows
 
-    def _height_by_differences(self, what: str, points: Array, rows: Array) -> Array:
-        assert self.function is not None
-        axes, diagonals = _TWO
-        steps = [k * e for e in axes for k in (-2.0, -1.0, 1.0, 2.0)]
-        places = np.concatenate([points, *(points + H * step for step in (*steps, *diagonals))])
-        f = self._asked(self.function, what, places).reshape(13, len(points))
-        rows[:, 0] = f[0]
-        for axis in (0, 1):
-            a, b, c, d = f[1 + 4 * axis : 5 + 4 * axis]
-            rows[:, 1 + axis] = (a - 8.0 * b + 8.0 * c - d) / (12.0 * H)
-            rows[:, 3 + 2 * axis] = (-a + 16.0 * b - 30.0 * f[0] + 16.0 * c - d) / (12.0 * H * H)
-        rows[:, 4] = (f[9] - f[10] - f[11] + f[12]) / (4.0 * H * H)
-        return rows
-
     def _distance(self, what: str, points: Array) -> Array:
         assert self.function is not None
-        n = len(points)
-        rows = np.empty((n, 4))
-        if self.gradient is not None:
-            rows[:, 0] = self._asked(self.function, what, points)
-            rows[:, 1:] = self._asked(self.gradient, f"the gradient of {what}", points, 3)
-            return rows
-        places = np.concatenate([points, *(points + H * k * e for e in np.eye(3) for k in (-2.0, -1.0, 1.0, 2.0))])
-        d = self._asked(self.function, what, places).reshape(13, n)
-        rows[:, 0] = d[0]
-        for axis in range(3):
-            a, b, c, e = d[1 + 4 * axis : 5 + 4 * axis]
-            rows[:, 1 + axis] = (a - 8.0 * b + 8.0 * c - e) / (12.0 * H)
+        if self.gradient is None:
+            return self._by_differences(what, points)
+        rows = np.empty((len(points), 4))
+        rows[:, 0] = self._asked(self.function, what, points)
+        rows[:, 1:] = self._asked(self.gradient, f"the gradient of {what}", points, 3)
         return rows
 
     def lost(self, name: str, point: Array) -> None:
@@ -322,6 +331,11 @@ def _compiled_values(address: int, kind: str, points: Array) -> Array:
     for point, row in zip(points.tolist(), rows, strict=True):
         function(*point, row.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
     return rows
+
+
+def _around(points: Array, places: Array) -> Array:
+    """Return all points moved to each of the places, one place after the other."""
+    return np.asarray((points + places[:, None]).reshape(-1, points.shape[1]))
 
 
 def _sheet(extent: Array, height: Callable[[Array], Array]) -> Surface:

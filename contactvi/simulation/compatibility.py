@@ -72,8 +72,6 @@ def _accumulation(time: float, kind: int, index: int) -> EngineStatus:
 
 def check_map(compiled: CompiledScene, options: Options) -> None:
     """Raise InputError where the impact map or the contact mode of the options has no answer on this scene."""
-    if options.contact_mode == "steps":
-        _check_dense(compiled)
     if options.impact == "dtec":
         _check_rebound(compiled)
     if _carries_reference(options) and np.any(compiled.damping > 0):
@@ -81,19 +79,6 @@ def check_map(compiled: CompiledScene, options: Options) -> None:
         joint = next(name for name, j in zip(model.names, model.joints, strict=True)
                      if j.nv and np.any(compiled.damping[j.idx_v : j.idx_v + j.nv] > 0))  # fmt: skip
         _refuse_global("damping", f"joint {joint!r} is damped", "Use mhc_reference='local', or damping 0")
-
-
-def _check_dense(compiled: CompiledScene) -> None:
-    for what, pair, settings in (
-        ("friction against spinning or rolling", compiled.turning_pair, "spinning_radius=0, rolling_radius=0"),
-        ("adhesion", compiled.adhesive_pair, "adhesion=0"),
-    ):
-        if pair is not None:
-            raise InputError(
-                f"Dense steps know no {what}, as {pair[0]!r} and {pair[1]!r} have it",
-                name="contact_mode", expected="'auto' or 'events'", got="'steps'",
-                remedy=f"Use contact_mode='auto', or scene.set_contact(..., {settings})",
-            )  # fmt: skip
 
 
 def check_unforced(options: Options) -> None:

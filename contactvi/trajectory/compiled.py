@@ -170,16 +170,6 @@ class CompiledScene:
         )
 
     @cached_property
-    def turning_pair(self) -> tuple[str, str] | None:
-        """A pair with friction against spinning or rolling."""
-        return next((self.built.pairs[places[0]] for law, places in self.built.laws if law.turning), None)
-
-    @cached_property
-    def adhesive_pair(self) -> tuple[str, str] | None:
-        """A pair whose surfaces pull at each other."""
-        return next((self.built.pairs[places[0]] for law, places in self.built.laws if law.adheres), None)
-
-    @cached_property
     def forced(self) -> bool:
         """Whether something besides potentials and joint damping acts: then a step is not made again without it."""
         found, arrays = self.built.elements, self.built.arrays

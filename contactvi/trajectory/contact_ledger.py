@@ -20,9 +20,9 @@ a step, against the change of its momentum less its weight. It needs runs withou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from contactvi.importing.joint_kinds import joint_kind
 from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ContactLog
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
+from contactvi.scene.body_adhesion import BodyAdhesion
 from contactvi.scene.contact_laws import PairLaw
 
 Array = NDArray[np.float64]
@@ -75,8 +76,8 @@ def free_trees(model: pin.Model, collision: pin.GeometryModel) -> list[FreeTree]
 def adhesion_of(laws: Sequence[tuple[PairLaw, Sequence[int]]], contacts: ContactLog) -> Array | None:
     """Return the impulses of adhesion of every row [N s], shape (m,); None: no pair adheres.
 
-    That of a pair is shared by its rows of one step; a point that has let go has left its part to nobody, so that this
-    is a bound.
+    That of a pair or a body is shared by its rows of one step; a point that has let go has left its part to nobody, so
+    that this is a bound.
     """
     sticky = [(law, places) for law, places in laws if law.adheres]
     if not sticky:
@@ -84,11 +85,26 @@ def adhesion_of(laws: Sequence[tuple[PairLaw, Sequence[int]]], contacts: Contact
     start, h, index = (contacts.array(name) for name in ("t", "h", "index"))
     of_pair = contacts.array("kind") == GuardKind.CONTACT
     found = np.zeros(len(index))
+
+    def share(pull: Callable[[float], float], places: Sequence[int]) -> None:
+        rows = np.flatnonzero(of_pair & (h > 0.0) & np.isin(index, places))
+        _, step, count = np.unique(start[rows], return_inverse=True, return_counts=True)
+        for row, points in zip(rows, count[step], strict=True):
+            found[row] += pull(start[row] + 0.5 * h[row]) * h[row] / points
+
+    bodies: dict[BodyAdhesion, list[int]] = {}
     for law, places in sticky:
-        for row in np.flatnonzero(of_pair & (h > 0.0) & np.isin(index, places)):
-            together = of_pair & (index == index[row]) & (start == start[row])
-            found[row] = law.pull(start[row] + 0.5 * h[row]) * h[row] / np.count_nonzero(together)
+        for place in places:
+            share(law.pull, [place])
+            for adhesion in law.adhesive:
+                bodies.setdefault(adhesion, []).append(place)
+    for adhesion, places in bodies.items():
+        share(partial(_pull_of, adhesion), places)
     return found
+
+
+def _pull_of(adhesion: BodyAdhesion, t: float) -> float:
+    return adhesion.pull.at(t, adhesion.name)
 
 
 class ContactLedger:

@@ -140,10 +140,11 @@ class BlockContacts {
  public:
   BlockContacts(const IndexVector& sizes, const VecX& masses, const IndexPairs& blocks, const IndexVector& rows,
                 const VecX& mu, const VecX& lower, const VecX& box, const VecX& W, const VecX& v_free,
-                const VecX& offset, const std::optional<MatX>& equations) {
+                const VecX& offset, const std::optional<MatX>& equations, const std::optional<IndexVector>& turning) {
     const Eigen::Index m = rows.size();
-    if (blocks.rows() != m || mu.size() != m || lower.size() != m || box.size() != m)
-      throw Error("expected blocks (m, 2) and rows, mu, lower, box (m,) for m contacts");
+    if (blocks.rows() != m || mu.size() != m || lower.size() != m || box.size() != m ||
+        (turning && turning->size() != m))
+      throw Error("expected blocks (m, 2) and rows, mu, lower, box, turning (m,) for m contacts");
     problem_.start.push_back(0);
     Eigen::Index read = 0;
     for (const int n : sizes) {
@@ -167,6 +168,9 @@ class BlockContacts {
       c.mu = mu[i];
       c.lower = lower[i];
       c.box = box[i];
+      if (turning) c.of = (*turning)[i];
+      if (c.of >= static_cast<int>(problem_.contacts.size())) throw Error("turning friction stands behind its point");
+      if (c.of >= 0) problem_.contacts[c.of].turning = static_cast<int>(i);
       row += c.rows;
       column += c.rows * (problem_.size(c.a) + (c.b < 0 ? 0 : problem_.size(c.b)));
       problem_.contacts.push_back(c);
@@ -296,15 +300,17 @@ void expose_block_contacts(nb::module_& m) {
   const BlockOptions usual;
   nb::class_<BlockContacts>(m, "BlockContacts", "A contact problem of many blocks and its solver, for tests.")
       .def(nb::init<const IndexVector&, const VecX&, const IndexPairs&, const IndexVector&, const VecX&, const VecX&,
-                    const VecX&, const VecX&, const VecX&, const VecX&, const std::optional<MatX>&>(),
+                    const VecX&, const VecX&, const VecX&, const VecX&, const std::optional<MatX>&,
+                    const std::optional<IndexVector>&>(),
            "sizes"_a, "masses"_a, "blocks"_a, "rows"_a, "mu"_a, "lower"_a, "box"_a, "W"_a, "v_free"_a, "offset"_a,
-           "equations"_a = nb::none(),
+           "equations"_a = nb::none(), "turning"_a = nb::none(),
            "sizes (b,): degrees of freedom of each block; masses: their matrices, one after the other [kg]; blocks "
            "(m, 2): the blocks of each contact, -1 for the world as second; rows (m,): 3 (n, t1, t2) or 1; mu (m,), "
            "lower (m,) [N s], box (m,) [N s], > 0 for joint friction; W: per contact rows x size of the first block, "
            "then rows x size of the second; v_free (nv,) and offset (rows,) [m/s]; equations (nv, m): W_e^T v stays "
            "what it "
-           "is in v_free. With them, m = 0 too, the problem is reduced first as in dense steps (ReducedSolver).")
+           "is in v_free. With them, m = 0 too, the problem is reduced first as in dense steps (ReducedSolver). "
+           "turning (m,): of rows (spin, roll1, roll2) the number of their point, which stands before them; else -1.")
       .def("set_free", &BlockContacts::set_free, "v_free"_a, "offset"_a, "New data of the same contacts.")
       .def("solve", &BlockContacts::solve, "start"_a = nb::none(), "bound"_a = std::numeric_limits<double>::infinity(),
            "tolerance"_a = usual.tolerance, "accept"_a = usual.accept, "sweeps"_a = usual.sweeps,

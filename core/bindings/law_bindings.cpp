@@ -63,8 +63,14 @@ NumberFunction number_function(Scene& s, const std::optional<Given>& value) {
 void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, bool incremental, bool keeps_energy,
                      double tangential, const std::optional<Given>& e, const std::optional<Given>& mu,
                      std::optional<double> static_mu, const std::optional<Given>& pull, int axis_of, const Vec3& axis,
-                     const Eigen::Vector2d& shares, double spinning, double rolling) {
+                     const Eigen::Vector2d& shares, double spinning, double rolling,
+                     const std::vector<int>& body_pulls) {
   ContactLaw law;
+  if (body_pulls.size() > 2) throw Error("a pair has two bodies");
+  for (std::size_t k = 0; k < body_pulls.size(); ++k) {
+    if (body_pulls[k] < 0 || body_pulls[k] >= static_cast<int>(s.body_pulls.size())) throw Error("no such adhesion");
+    law.body_pulls[k] = body_pulls[k];
+  }
   law.mu = number_function(s, mu);
   if (static_mu) law.static_mu = *static_mu;
   law.pull = number_function(s, pull);
@@ -215,12 +221,18 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
   scene.def(
       "set_contact_law", &set_contact_law, "pairs"_a, "restitution"_a, "incremental"_a, "keeps_energy"_a,
       "tangential"_a, "e"_a.none(), "mu"_a.none(), "static_mu"_a.none(), "pull"_a.none(), "axis_of"_a, "axis"_a,
-      "shares"_a, "spinning"_a, "rolling"_a,
+      "shares"_a, "spinning"_a, "rolling"_a, "body_pulls"_a,
       "Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is "
       "followed through its impulse, whether e is lowered so that no energy is made, tangential restitution; e as a "
       "function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C "
       "function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis "
-      "along which and across which friction has its shares; radii [m] of the friction against spinning and rolling.");
+      "along which and across which friction has its shares; radii [m] of the friction against spinning and rolling; "
+      "the numbers of the "
+      "adhesion of its bodies (add_body_pull).");
+  scene.def(
+      "add_body_pull", [](Scene& s, const Given& pull) { s.body_pulls.push_back(number_function(s, pull)); }, "pull"_a,
+      "Adds the adhesion of a body [N] by the time (table, address of a C function, function), which all points share "
+      "that touch it.");
   scene.def("set_surface", &set_surface, "geometry"_a, "function"_a, "is_height"_a, "reach"_a, "lost"_a,
             "Makes a halfspace a surface given by a function (address of a C function of one point, or function of "
             "arrays): a height, (n, 2) -> rows of f, f_x, f_y, f_xx, f_xy, f_yy, or a distance, (n, 3) -> rows of d, "

@@ -55,6 +55,7 @@ nb::dict of_blocks(ProblemLog::Blocks&& posed) {
   d["v_free"] = hand_over(VecX(p.v_free));
   d["offset"] = hand_over(VecX(p.offset));
   d["equations"] = hand_over(Rows(posed.equations));
+  d["turning"] = hand_over(of_each(p.contacts, &BlockContact::of));
   d["bound"] = posed.bound;
   return d;
 }

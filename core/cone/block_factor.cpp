@@ -196,21 +196,23 @@ void BlockFactor::analyse(const BlockProblem& problem) {
   layout();
 }
 
-void BlockFactor::add_contact(const BlockProblem& problem, const BlockContact& c, const Mat3& K) {
-  const int na = problem.size(c.a), a = position_[c.a];
-  const double* Wa = problem.W.data() + c.column;
-  add_product(&diagonal_[pivots_[a].diagonal], Wa, na, Wa, na, K, c.rows);
-  if (c.b < 0) return;
-  const int nb = problem.size(c.b), b = position_[c.b];
-  const double* Wb = Wa + c.rows * na;
-  add_product(&diagonal_[pivots_[b].diagonal], Wb, nb, Wb, nb, K, c.rows);
+// Of two contacts that act on the same blocks, with as many rows.
+void BlockFactor::add_contact(const BlockProblem& problem, const BlockContact& left, const BlockContact& right,
+                              const Mat3& K) {
+  const int na = problem.size(left.a), a = position_[left.a], rows = left.rows;
+  const double *La = problem.W.data() + left.column, *Ra = problem.W.data() + right.column;
+  add_product(&diagonal_[pivots_[a].diagonal], La, na, Ra, na, K, rows);
+  if (left.b < 0) return;
+  const int nb = problem.size(left.b), b = position_[left.b];
+  const double *Lb = La + rows * na, *Rb = Ra + rows * na;
+  add_product(&diagonal_[pivots_[b].diagonal], Lb, nb, Rb, nb, K, rows);
   const std::size_t place = places_[entry(std::min(a, b), std::max(a, b))];
   if (a < b) {
-    add_product(&lower_[place], Wb, nb, Wa, na, K, c.rows);
-    if (!symmetric_) add_product(&upper_[place], Wa, na, Wb, nb, K, c.rows);
+    add_product(&lower_[place], Lb, nb, Ra, na, K, rows);
+    if (!symmetric_) add_product(&upper_[place], La, na, Rb, nb, K, rows);
   } else {
-    add_product(&lower_[place], Wa, na, Wb, nb, K, c.rows);
-    if (!symmetric_) add_product(&upper_[place], Wb, nb, Wa, na, K, c.rows);
+    add_product(&lower_[place], La, na, Rb, nb, K, rows);
+    if (!symmetric_) add_product(&upper_[place], Lb, nb, Ra, na, K, rows);
   }
 }
 
@@ -220,7 +222,7 @@ void BlockFactor::assemble(const BlockProblem& problem, const std::vector<Mat3>&
   for (const Pivot& p : pivots_)
     std::copy_n(problem.M[p.block].data(), static_cast<std::size_t>(p.size) * p.size, &diagonal_[p.diagonal]);
   for (std::size_t i = 0; i < problem.contacts.size(); ++i)
-    if (!K[i].isZero(0.0)) add_contact(problem, problem.contacts[i], K[i]);
+    if (!K[i].isZero(0.0)) add_contact(problem, problem.contacts[i], problem.contacts[i], K[i]);
 }
 
 template <int N>
@@ -270,9 +272,11 @@ bool BlockFactor::eliminate() {
   return true;
 }
 
-bool BlockFactor::factor(const BlockProblem& problem, const std::vector<Mat3>& K, bool symmetric) {
+bool BlockFactor::factor(const BlockProblem& problem, const std::vector<Mat3>& K, bool symmetric,
+                         const std::vector<CrossWeight>& crosses) {
   symmetric_ = symmetric;
   assemble(problem, K);
+  for (const CrossWeight& x : crosses) add_contact(problem, problem.contacts[x.left], problem.contacts[x.right], x.K);
   return only_six_ ? eliminate<6>() : eliminate<Eigen::Dynamic>();
 }
 

@@ -1,4 +1,4 @@
-// Factors of M + W^T K W on the graph of the blocks, K a 3 x 3 matrix per contact.
+// Factors of M + W^T K W on the graph of the blocks, K a 3 x 3 matrix per contact, and of pairs of contacts that turn.
 //
 // A block (a free body: 6 x 6) is one entry; the order of elimination is by least degree. Between blocks there is no
 // pivoting: the symmetric matrix is positive definite, and of the other, Newton's, a useless step is only a step lost.
@@ -14,13 +14,20 @@
 
 namespace contactvi {
 
+// The part of W^T K W of two contacts on the same blocks: W_left^T K W_right.
+struct CrossWeight {
+  int left, right;
+  Mat3 K;
+};
+
 class BlockFactor {
  public:
   // Order and places of the entries; blocks without a contact stay outside.
   void analyse(const BlockProblem& problem);
   // K: per contact, in the upper left corner for one row; symmetric: each K is. False if a pivot is not positive or the
   // numbers are not finite.
-  bool factor(const BlockProblem& problem, const std::vector<Mat3>& K, bool symmetric);
+  bool factor(const BlockProblem& problem, const std::vector<Mat3>& K, bool symmetric,
+              const std::vector<CrossWeight>& crosses = {});
   bool factor(const BlockSystem& system, const std::vector<Mat3>& K, bool symmetric) {
     return factor(system.problem(), K, symmetric);
   }
@@ -39,7 +46,7 @@ class BlockFactor {
   void order(const BlockProblem& problem);
   void layout();
   void assemble(const BlockProblem& problem, const std::vector<Mat3>& K);
-  void add_contact(const BlockProblem& problem, const BlockContact& c, const Mat3& K);
+  void add_contact(const BlockProblem& problem, const BlockContact& left, const BlockContact& right, const Mat3& K);
   template <int N>
   bool eliminate();
   template <int N>

@@ -40,6 +40,9 @@ struct ConePoint {
 
 inline bool is_box(const BlockContact& c) { return c.box > 0.0; }
 inline bool has_friction(const BlockContact& c) { return c.rows == 3 && c.mu > 0.0; }
+inline bool has_gap(const BlockContact& c) { return c.of < 0 && !is_box(c); }
+// Not a point with turning friction nor that friction, whose law is that of turning_law.hpp.
+inline bool is_alone(const BlockContact& c) { return c.of < 0 && c.turning < 0; }
 
 // Projection onto the impulses that the law allows.
 Vec3 project_impulse(const BlockContact& c, const Vec3& x);

@@ -19,9 +19,11 @@ class BlockNewton {
 
  private:
   double step(const BlockSystem& system, BlockFactor& factor);
+  void add_turning(const BlockSystem& system, std::size_t k);
   double merit(const BlockSystem& system, const ConePoint& point) const;
 
   std::vector<Mat3> K_;
+  std::vector<CrossWeight> crosses_;
   std::vector<Vec3> change_;  // of the impulses
   VecX velocity_;             // change of the velocities
   ConePoint point_, trial_, projected_;

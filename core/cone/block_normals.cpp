@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "base/tolerances.hpp"
+#include "cone/turning_law.hpp"
 
 namespace contactvi {
 
@@ -40,10 +41,13 @@ void BlockNormals::begin(const BlockSystem& system, ConePoint& point) {
   for (int c = 0; c < m; ++c) {
     const BlockContact& law = system.contact(c);
     Vec3& lambda = point.lambda[c];
-    if (is_box(law)) continue;
+    if (!has_gap(law)) continue;
     if (!has_friction(law)) lambda.tail<2>().setZero();
     low_[c] = law.lower;
-    if (has_friction(law)) low_[c] = std::max(law.lower, lambda.tail<2>().norm() / law.mu * kNormalInside);
+    if (law.turning >= 0)
+      low_[c] = std::max(law.lower, least_normal(law.mu, lambda, point.lambda[law.turning]) * kNormalInside);
+    else if (has_friction(law))
+      low_[c] = std::max(law.lower, lambda.tail<2>().norm() / law.mu * kNormalInside);
     lambda[0] = std::max(lambda[0], low_[c]);
   }
   system.update(point);
@@ -53,7 +57,7 @@ void BlockNormals::begin(const BlockSystem& system, ConePoint& point) {
 double BlockNormals::evaluate(const BlockSystem& system, const ConePoint& point) const {
   double worst = 0.0;
   for (int c = 0; c < system.contacts(); ++c) {
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     const double g = system.matrix(c).G(0, 0), w = system.normal_velocity(c, point.v), n = point.lambda[c][0];
     const double error = std::abs(std::min(w, (n - low_[c]) * g));
     if (!(error <= worst)) worst = error;
@@ -72,7 +76,7 @@ bool BlockNormals::keep(const BlockSystem& system, const ConePoint& point) {
 
 void BlockNormals::sweep(const BlockSystem& system, ConePoint& point) const {
   for (int c = 0; c < system.contacts(); ++c) {
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     const double w = system.normal_velocity(c, point.v), before = point.lambda[c][0];
     const double after = std::max(low_[c], before - w / system.matrix(c).G(0, 0));
     if (after == before) continue;
@@ -86,7 +90,7 @@ bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, C
   step_.setZero(system.dofs());
   for (int c = 0; c < system.contacts(); ++c) {
     K_[c](0, 0) = 0.0;
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     const double g = system.matrix(c).G(0, 0), w = system.normal_velocity(c, point.v), n = point.lambda[c][0];
     const bool closed = n - w / g > low_[c];
     weight_[c] = K_[c](0, 0) = closed ? 1.0 / (kNormalShift * g) : 0.0;
@@ -95,10 +99,10 @@ bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, C
   }
   if (!factor.factor(system.problem(), K_, true) || !factor.solve(step_)) return false;
   for (int c = 0; c < system.contacts(); ++c)
-    if (!is_box(system.contact(c))) point.lambda[c][0] += pairs_[c].d - weight_[c] * system.normal_speed(c, step_);
+    if (has_gap(system.contact(c))) point.lambda[c][0] += pairs_[c].d - weight_[c] * system.normal_speed(c, step_);
   // Bounds that the step has left are met at once: they hold at every point that is kept.
   for (int c = 0; c < system.contacts(); ++c)
-    if (!is_box(system.contact(c))) point.lambda[c][0] = std::max(point.lambda[c][0], low_[c]);
+    if (has_gap(system.contact(c))) point.lambda[c][0] = std::max(point.lambda[c][0], low_[c]);
   system.update(point);
   return true;
 }
@@ -123,7 +127,7 @@ int BlockNormals::newton(const BlockSystem& system, BlockFactor& factor, double 
 double BlockNormals::direction(const BlockSystem& system, BlockFactor& factor, double target, bool corrected) {
   step_.setZero(system.dofs());
   for (int c = 0; c < system.contacts(); ++c) {
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     Pair& p = pairs_[c];
     // n ds + s dn = right, ds = W dv + compliance dn + error: dn = d - weight W dv
     const double right = target - p.n * p.s - (corrected ? p.corrector : 0.0);
@@ -133,7 +137,7 @@ double BlockNormals::direction(const BlockSystem& system, BlockFactor& factor, d
   if (!factor.solve(step_)) return -1.0;
   double share = std::numeric_limits<double>::infinity();
   for (int c = 0; c < system.contacts(); ++c) {
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     Pair& p = pairs_[c];
     p.dn = p.d - weight_[c] * system.normal_speed(c, step_);
     const double right = target - p.n * p.s - (corrected ? p.corrector : 0.0);
@@ -149,7 +153,7 @@ bool BlockNormals::advance(const BlockSystem& system, BlockFactor& factor, doubl
   int count = 0;
   for (int c = 0; c < system.contacts(); ++c) {
     K_[c](0, 0) = 0.0;
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     Pair& p = pairs_[c];
     const double soft = compliance * system.matrix(c).G(0, 0);
     ++count;
@@ -167,7 +171,7 @@ bool BlockNormals::advance(const BlockSystem& system, BlockFactor& factor, doubl
   if (!(share >= 0.0)) return false;
   const double length = std::min(1.0, kNormalBoundary * share);
   for (int c = 0; c < system.contacts(); ++c) {
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     Pair& p = pairs_[c];
     p.n = std::max(p.n + length * p.dn, kLeastDivisor);
     p.s = std::max(p.s + length * p.ds, kLeastDivisor);
@@ -183,7 +187,7 @@ void BlockNormals::start_path(const BlockSystem& system, double tolerance) {
   trial_.v = best_.v;
   const double start = std::max(kNearPath, std::sqrt(tolerance)) * system.scale();
   for (int c = 0; c < system.contacts(); ++c) {
-    if (is_box(system.contact(c))) continue;
+    if (!has_gap(system.contact(c))) continue;
     const double g = system.matrix(c).G(0, 0), t = start / g;
     const double x = trial_.lambda[c][0] - low_[c] - system.normal_velocity(c, trial_.v) / g;
     const double larger = 0.5 * (std::abs(x) + std::sqrt(x * x + 4.0 * t * t)), smaller = t * t / larger;
@@ -251,7 +255,7 @@ int BlockNormals::soften(const BlockSystem& system, BlockFactor& factor, double 
   const double residual = best_residual_;
   best_residual_ = std::numeric_limits<double>::infinity();
   for (int c = 0; c < system.contacts(); ++c)
-    if (!is_box(system.contact(c))) best_.lambda[c][0] = low_[c];
+    if (has_gap(system.contact(c))) best_.lambda[c][0] = low_[c];
   system.update(best_);
   start_path(system, tolerance);
   const int used = follow_path(system, factor, tolerance, kSoft, iterations);

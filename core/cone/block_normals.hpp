@@ -1,6 +1,7 @@
 // Stage D: the normal impulses for tangential impulses and joint friction that stay,
 //
-//   lambda_n >= low = max(lower, |lambda_t|/mu),  w_n >= 0,  (lambda_n - low) w_n = 0
+//   lambda_n >= low = max(lower, |lambda_t|/mu),  w_n >= 0,  (lambda_n - low) w_n = 0     (lambda_t with the spin;
+//                                                                                       low >= |lambda_roll|)
 //
 // a convex quadratic problem. For offset >= 0 it has a solution whatever the redundancy and the friction, since v = 0
 // has no gap that closes; where it has none, the gaps are given a small compliance.

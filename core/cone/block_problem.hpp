@@ -5,6 +5,8 @@
 //   normal      lambda_n >= lower, w_n >= 0, (lambda_n - lower) w_n = 0
 //   tangential  |lambda_t| <= mu lambda_n; w_t != 0 => lambda_t = -mu lambda_n w_t/|w_t|     (maximal dissipation)
 //   box         one row, |lambda| <= box; w != 0 => lambda = -box sign(w)                    (friction of a joint)
+//   turning     rows (spin, roll1, roll2) of a point with friction: the spin is a third component of its tangential
+//               law; |lambda_roll| <= lambda_n with maximal dissipation
 //
 // The laws are those of problem.hpp, which keeps the matrix G = W^T M^-1 W dense.
 #pragma once
@@ -22,6 +24,9 @@ struct BlockContact {
   int rows = 3;        // 3: n, t1, t2; 1: normal alone, or joint friction
   int column = 0;      // where its rows' coefficients begin in BlockProblem::W: rows x size(a), then rows x size(b)
   double mu = 0.0, lower = 0.0, box = 0.0;  // box > 0: joint friction
+  // Friction of a point against spinning and rolling is an entry of its own, on the same blocks, with three rows; those
+  // of what the point lacks are zero. turning: that entry of a point; of: the point of that entry; -1: none.
+  int turning = -1, of = -1;
 };
 
 // The masses of the blocks, symmetric positive definite [kg; kg m; kg m^2], and their inverses C C^T. Masses and

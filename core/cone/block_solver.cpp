@@ -17,6 +17,7 @@ namespace contactvi {
 namespace {
 
 constexpr int kBetweenChecks = 5;      // sweeps
+constexpr int kTurningRounds = 4;      // of sweeps and Newton steps, each of twice as many sweeps as those before
 constexpr int kConvexIterations = 30;  // factorizations of one convex problem
 constexpr int kNormalIterations = 25;  // and of the normal problem
 constexpr double kSafeTolerance = 1e-8;
@@ -111,6 +112,7 @@ bool BlockSolver::Work::sweeps(bool all) {
   double last = point.residual;
   while (result.sweeps < options.sweeps && best.residual > options.tolerance) {
     sweep(system, point);
+    system.sweep_turning(point);
     if (++result.sweeps % kBetweenChecks != 0) continue;
     system.update(point);
     note();
@@ -172,7 +174,7 @@ void BlockSolver::Work::repair() {
 // An answer whose energy is below the bound, or as low as it can be had: the law without slip, which dissipates, or
 // contacts without friction.
 void BlockSolver::Work::find_safe(double bound) {
-  if (!system.bounded()) {
+  if (!system.bounded() && system.turning_points().empty()) {
     no_slip.assign(system.contacts(), 0.0);
     safe = best;
     safe.residual = std::numeric_limits<double>::infinity();
@@ -231,8 +233,11 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
   work.options = options;
   const auto accepted = [&] { return work.best.residual <= options.accept; };
   work.begin();
-  if (!work.sweeps(false) && !work.polish() && !accepted()) work.interior_point();
-  if (!accepted()) work.last_sweeps();
+  // Of points with turning friction the cone is none of second order: the interior point method has no such pairs.
+  const bool conic = work.system.turning_points().empty();
+  if (!work.sweeps(false) && !work.polish() && !accepted() && conic) work.interior_point();
+  // Without that method Newton's starts again from ever more sweeps.
+  for (int k = 0; k < (conic ? 1 : kTurningRounds) && !accepted(); ++k, work.options.sweeps *= 2) work.last_sweeps();
   // Where the law is not met but cone, gaps and energy are as they should be, the answer stays: new normal impulses
   // would only be further from the law.
   if (!work.gaps_kept(work.best)) work.repair();

@@ -3,7 +3,7 @@
 // Stages, each from the best answer so far:
 //   A  Gauss-Seidel sweeps with the exact solution of one contact
 //   B  semismooth Newton steps on the natural map of the whole law
-//   C  an interior point method for the whole law, then B again
+//   C  an interior point method for the whole law, then B again; not with turning friction
 //   D  where gaps are not kept: the normal impulses anew for tangential impulses that stay, a convex problem
 //   E  where the answer gains energy: the one between it and a safe one that just does not
 // D and E bound what is returned, not how far it is from the law, which `residual` says.

@@ -58,6 +58,12 @@ bool BlockSystem::place(const BlockProblem& problem) {
     const BlockContact& c = problem.contacts[i];
     if (c.a < 0 || c.a >= blocks || c.b < -1 || c.b >= blocks || c.a == c.b) return false;
     if (c.row != row || (c.rows != 1 && c.rows != 3)) return false;
+    if (c.of >= 0 || c.turning >= 0) {
+      const std::size_t other = static_cast<std::size_t>(std::max(c.of, c.turning));
+      if (c.rows != 3 || other >= places_.size()) return false;
+      const BlockContact& with = problem.contacts[other];
+      if (with.a != c.a || with.b != c.b || (c.of >= 0 ? with.turning : with.of) != static_cast<int>(i)) return false;
+    }
     Place& p = places_[i];
     p = {problem.start[c.a], problem.size(c.a), 0, 0, c.rows, c.row, c.column};
     if (c.b >= 0) {
@@ -91,6 +97,32 @@ void BlockSystem::mobility(const BlockProblem& problem) {
   }
   const double floor = std::max(kLeastMobility * largest, kLeastDivisor);
   for (std::size_t i = 0; i < places_.size(); ++i) matrices_[i].finish(floor, places_[i].rows == 1);
+  turning_mobility(problem, floor);
+}
+
+void BlockSystem::turning_mobility(const BlockProblem& problem, double floor) {
+  turning_points_.clear();
+  turning_matrices_.clear();
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    if (problem.contacts[i].turning < 0) continue;
+    const Place &p = places_[i], &q = places_[problem.contacts[i].turning];
+    TurningMatrix m;
+    const auto column = [](const Place& place, int r, bool second) {
+      return place.column + (second ? 3 * place.size_a + r * place.size_b : r * place.size_a);
+    };
+    for (int r = 0; r < 6; ++r) {
+      for (int s = 0; s <= r; ++s) {
+        const Place &row = r < 3 ? p : q, &other = s < 3 ? p : q;
+        for (const bool second : {false, true})
+          m.G(r, s) += dot(&problem.W[column(row, r % 3, second)], &response_[column(other, s % 3, second)],
+                           second ? p.size_b : p.size_a);
+        m.G(s, r) = m.G(r, s);
+      }
+    }
+    m.finish(floor);
+    turning_points_.push_back(static_cast<int>(i));
+    turning_matrices_.push_back(m);
+  }
 }
 
 bool BlockSystem::check_masses(const BlockProblem& problem) {
@@ -143,7 +175,7 @@ bool BlockSystem::start(const BlockProblem& problem) {
     bounded_ = bounded_ || (law.lower > 0.0 && !is_box(law));
     const Vec3 w = speed(c, problem.v_free);
     scale_ = std::max({scale_, w.cwiseAbs().maxCoeff(), is_box(law) ? std::abs(problem.offset[law.row]) : 0.0,
-                       -problem.offset[law.row], law.lower * matrix(c).largest});
+                       law.of < 0 ? -problem.offset[law.row] : 0.0, law.lower * matrix(c).largest});
   }
   scale_ = std::max(scale_, kLeastDivisor);
   return std::isfinite(scale_);
@@ -194,16 +226,59 @@ void BlockSystem::update(ConePoint& point) const {
     if (!point.lambda[c].isZero(0.0)) push(c, point.lambda[c], point.v);
 }
 
+Vec6 BlockSystem::turning_impulse(int c, const ConePoint& point) const {
+  Vec6 x;
+  x << point.lambda[c], point.lambda[contact(c).turning];
+  return x;
+}
+
+void BlockSystem::set_turning_impulse(int c, const Vec6& lambda, ConePoint& point) const {
+  point.lambda[c] = lambda.head<3>();
+  point.lambda[contact(c).turning] = lambda.tail<3>();
+}
+
+Vec6 BlockSystem::turning_velocity(int c, const VecX& v) const {
+  Vec6 w;
+  w << velocity(c, v), velocity(contact(c).turning, v);
+  return w;
+}
+
+void BlockSystem::sweep_turning(ConePoint& point) const {
+  for (std::size_t k = 0; k < turning_points_.size(); ++k) {
+    const int c = turning_points_[k];
+    const BlockContact& law = contact(c);
+    const Vec6 lambda = turning_impulse(c, point), w = turning_velocity(c, point.v);
+    if (w[0] > 0.0 && lambda[0] == 0.0 && law.lower == 0.0) continue;
+    const TurningMatrix& m = turning_matrices_[k];
+    const Vec6 next = solve_turning_contact(law, m, w - m.G * lambda, lambda), change = next - lambda;
+    if (change.isZero(0.0)) continue;
+    push(c, change.head<3>(), point.v);
+    push(law.turning, change.tail<3>(), point.v);
+    set_turning_impulse(c, next, point);
+  }
+}
+
 void BlockSystem::project(ConePoint& point) const {
-  for (int c = 0; c < contacts(); ++c) point.lambda[c] = project_impulse(contact(c), point.lambda[c]);
+  for (int c = 0; c < contacts(); ++c)
+    if (is_alone(contact(c))) point.lambda[c] = project_impulse(contact(c), point.lambda[c]);
+  for (const int c : turning_points_)
+    set_turning_impulse(c, project_turning(contact(c), turning_impulse(c, point)), point);
   update(point);
 }
 
 double BlockSystem::residual(const ConePoint& point) const {
   double worst = 0.0;
   for (int c = 0; c < contacts(); ++c) {
+    if (!is_alone(contact(c))) continue;
     const double error = law_error(contact(c), matrix(c).largest, point.lambda[c], velocity(c, point.v));
     if (!(error <= worst)) worst = error;  // also if it is not a number
+  }
+  for (std::size_t k = 0; k < turning_points_.size(); ++k) {
+    const int c = turning_points_[k];
+    const Vec6 map =
+        turning_map(contact(c), turning_matrices_[k], turning_impulse(c, point), turning_velocity(c, point.v));
+    const double error = map.cwiseAbs().maxCoeff();
+    if (!(error <= worst)) worst = error;
   }
   return worst / scale_;
 }
@@ -220,7 +295,7 @@ double BlockSystem::product(const VecX& x, const VecX& y) const {
 double BlockSystem::worst_gap(const VecX& v) const {
   double worst = 0.0;
   for (int c = 0; c < contacts(); ++c)
-    if (!is_box(contact(c))) worst = std::min(worst, normal_velocity(c, v));
+    if (has_gap(contact(c))) worst = std::min(worst, normal_velocity(c, v));
   return worst;
 }
 

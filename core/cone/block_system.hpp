@@ -6,6 +6,7 @@
 
 #include "cone/block_law.hpp"
 #include "cone/block_problem.hpp"
+#include "cone/turning_law.hpp"
 
 namespace contactvi {
 
@@ -26,6 +27,14 @@ class BlockSystem {
   // for, overlaps (-offset) and what lower bounds of impulses move.
   double scale() const { return scale_; }
   bool bounded() const { return bounded_; }  // some contact has a lower bound of its normal impulse
+
+  // Points with friction against spinning and rolling: their numbers, and of the k-th its six rows.
+  const std::vector<int>& turning_points() const { return turning_points_; }
+  const TurningMatrix& turning_matrix(std::size_t k) const { return turning_matrices_[k]; }
+  Vec6 turning_impulse(int c, const ConePoint& point) const;
+  void set_turning_impulse(int c, const Vec6& lambda, ConePoint& point) const;
+  Vec6 turning_velocity(int c, const VecX& v) const;
+  void sweep_turning(ConePoint& point) const;  // as sweep.hpp does the others
 
   // W^T v and W^T v + offset of one contact.
   Vec3 speed(int c, const VecX& v) const;
@@ -52,12 +61,15 @@ class BlockSystem {
   static bool check_masses(const BlockProblem& problem);
   bool place(const BlockProblem& problem);
   void mobility(const BlockProblem& problem);
+  void turning_mobility(const BlockProblem& problem, double floor);
   void add(const double* values, int c, int rows, const Vec3& d, VecX& x) const;
 
   const BlockProblem* problem_ = nullptr;
   std::vector<Place> places_;
   std::vector<double> response_;  // M^-1 W^T, laid out as W
   std::vector<ContactMatrix> matrices_;
+  std::vector<int> turning_points_;
+  std::vector<TurningMatrix> turning_matrices_;
   double scale_ = 1.0;
   bool bounded_ = false;
 };

@@ -229,20 +229,29 @@ void ReducedSolver::prepare(const BlockProblem& problem) {
   for (std::vector<int>* list : {&kept_, &idle_}) list->clear();
   sides_.clear();
   for (Group& group : groups_) group.touching = 0;
+  std::vector<int> place(problem.contacts.size(), -1);  // among those that are kept
   for (int i = 0; i < static_cast<int>(problem.contacts.size()); ++i) {
     const BlockContact& c = problem.contacts[i];
     Side sides[2];
-    if (!find_sides(problem, c, sides)) {
+    // Turning friction stays with its point, which stands before it.
+    if (!find_sides(problem, c, sides) && !(c.of >= 0 && place[c.of] >= 0)) {
       if (c.box > 0.0) idle_.push_back(i);
       continue;
     }
+    if (c.of >= 0 && place[c.of] < 0) continue;
+    place[i] = static_cast<int>(kept_.size());
     kept_.push_back(i);
     for (const Side& side : sides)
       if (side.group >= 0) groups_[side.group].touching += c.rows;
     sides_.push_back({std::move(sides[0]), std::move(sides[1])});
   }
   for (int g = 0; g < static_cast<int>(groups_.size()); ++g) choose(problem, groups_[g], g);
-  for (int k = 0; k < static_cast<int>(kept_.size()); ++k) add_contact(problem.contacts[kept_[k]], k);
+  for (int k = 0; k < static_cast<int>(kept_.size()); ++k) {
+    BlockContact c = problem.contacts[kept_[k]];
+    if (c.of >= 0) c.of = place[c.of];
+    if (c.turning >= 0) c.turning = place[c.turning];
+    add_contact(c, k);
+  }
   solver_.prepare(reduced_);
 }
 

@@ -1,4 +1,4 @@
-// One Gauss-Seidel sweep: each contact solved exactly while the others are fixed.
+// One Gauss-Seidel sweep: each contact without turning friction solved exactly while the others are fixed.
 #pragma once
 
 #include "cone/block_law.hpp"
@@ -10,6 +10,7 @@ template <class System>
 void sweep(const System& system, ConePoint& point) {
   for (int c = 0; c < system.contacts(); ++c) {
     const BlockContact& law = system.contact(c);
+    if (!is_alone(law)) continue;
     Vec3& lambda = point.lambda[c];
     const Vec3 w = system.velocity(c, point.v);
     if (w[0] > 0.0 && lambda[0] == 0.0 && law.lower == 0.0 && !is_box(law)) continue;

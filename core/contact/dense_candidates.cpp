@@ -13,6 +13,11 @@ constexpr double kOpen = 0.25;            // of its motion: a gap that is wider 
 constexpr double kAnyTurn = 2.0;          // above the sine of any angle: a crossing of edges becomes a plane
 }  // namespace
 
+Vec3 DenseContact::turning_W(const Vec3& turning, bool at_end) const {
+  const Vec3 &n = at_end ? at1.normal : at0.normal, &t = at_end ? t1_1 : t1_0;
+  return turning[0] * n + turning[1] * t + turning[2] * n.cross(t);
+}
+
 Vec3 DenseContact::position_W() const { return position[0] * at0.normal + frame(false).force(position.tail<2>()); }
 
 Vec3 DenseContact::velocity_W() const { return velocity[0] * at1.normal + frame(true).force(velocity.tail<2>()); }
@@ -48,9 +53,10 @@ void DenseCandidates::collect(const VecX& bound, const VecX& q_free, const std::
 }
 
 // Whether a pair that is not loaded is so far open where the guards are placed, at the end of the step without
-// impulses, that impulses of others will hardly close it.
+// impulses, that impulses of others will hardly close it. One that adheres may be held by itself.
 bool DenseCandidates::stays_open(int guard, const std::vector<DenseImpulse>& impulses) {
   if (!scene_->is_pair(guard)) return false;
+  if (const ContactLaw* law = scene_->law(guard); law != nullptr && law->adheres()) return false;
   const auto of_guard = [guard](const DenseImpulse& impulse) { return impulse.guard == guard; };
   if (std::any_of(impulses.begin(), impulses.end(), of_guard)) return false;
   const double open = kOpen * guards_->motion(guard);
@@ -154,11 +160,18 @@ bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, co
         (c.law.center_B - law.center_B).squaredNorm() < kSamePoint * kSamePoint)
       return false;
   DenseContact c{};
+  for (Vec3* x : {&c.position, &c.velocity, &c.position_turning, &c.velocity_turning, &c.turning_speed}) x->setZero();
+  for (Vec3* x : {&c.turning_drift0, &c.turning_drift1}) x->setZero();
+  c.pull.setZero();
   c.point = point;
   c.joined = joined;
   c.mu = scene_->friction(point.guard);
   c.shares = guards_->has_axis(point.guard) ? scene_->law(point.guard)->shares : Eigen::Vector2d(1.0, 1.0);
   c.restitution = scene_->restitution(point.guard);
+  if (const ContactLaw* law = scene_->law(point.guard); law != nullptr && c.mu > 0.0) {
+    c.spinning = law->spinning;
+    c.rolling = law->rolling;
+  }
   set_law(c, law, near);
   set_start_impulses(c, impulses);
   contacts_.push_back(c);
@@ -199,6 +212,12 @@ void DenseCandidates::set_start_impulses(DenseContact& c, const std::vector<Dens
   const bool pair = scene_->is_pair(c.point.guard);
   c.position = h_ * (pair ? along(last->position_force) : last->position_force);
   c.velocity = h_ * (pair ? along(last->velocity_force) : last->velocity_force);
+  if (c.turns()) {
+    const Vec3 &n = c.at0.normal, &t = c.t1_0;
+    const auto about = [&](const Vec3& f) { return Vec3(f.dot(n), f.dot(t), f.dot(n.cross(t))); };
+    c.position_turning = h_ * about(last->position_turning);
+    c.velocity_turning = h_ * about(last->velocity_turning);
+  }
   if (c.rows() == 3) return;
   c.position.tail<2>().setZero();
   c.velocity.tail<2>().setZero();

@@ -26,13 +26,21 @@ struct DenseContact {
   bool joined;   // found where it overlaps at the end of a motion, not at the start of the step
   // Of surfaces that move along themselves, the velocities of the tangential rows at the start and the end [m/s].
   Eigen::Vector2d drift0, drift1;
+  // Friction against spinning and rolling: radii [m], 0: none; as (spin, roll1, roll2), with the radii in the rows, its
+  // impulses [N s] and what surfaces that turn add to its speeds [m/s].
+  double spinning, rolling;
+  Vec3 position_turning, velocity_turning, turning_drift0, turning_drift1;
+  Vec3 turning_speed;      // at the end, radii times angular velocities [m/s]
+  Eigen::Vector2d pull;    // impulses of adhesion at the start and at the end [N s]
   Eigen::Vector2d shares;  // of friction along the tangents (TangentFrame)
   int rows() const { return mu > 0.0 ? 3 : 1; }
+  bool turns() const { return spinning > 0.0 || rolling > 0.0; }
   TangentFrame frame(bool at_end) const {
     return at_end ? TangentFrame{t1_1, at1.normal.cross(t1_1), shares}
                   : TangentFrame{t1_0, at0.normal.cross(t1_0), shares};
   }
   bool loaded() const { return position[0] + velocity[0] > 0.0; }
+  Vec3 turning_W(const Vec3& turning, bool at_end) const;  // world frame
   Vec3 position_W() const;
   Vec3 velocity_W() const;
 };
@@ -42,6 +50,8 @@ struct DenseImpulse {
   int guard;
   std::int64_t feature;
   Vec3 position_force, velocity_force;  // world frame [N]; of a joint limit the first number
+  // Of turning friction over its radii, as vectors: about the normal that of spinning, across it that of rolling [N].
+  Vec3 position_turning = Vec3::Zero(), velocity_turning = Vec3::Zero();
 };
 
 class DenseCandidates {

@@ -59,6 +59,7 @@ double DenseStep::driven_work() const {
   for (const DenseContact& c : contacts()) {
     if (!guards_->moves(c.point.guard)) continue;
     work -= c.position.tail<2>().dot(c.drift0) + c.velocity.tail<2>().dot(c.drift1);
+    work -= c.position_turning.dot(c.turning_drift0) + c.velocity_turning.dot(c.turning_drift1);
   }
   return work;
 }

@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
+#include <utility>
 
 #include "base/error.hpp"
 #include "model/coupling.hpp"
@@ -68,13 +69,15 @@ BlockContact& DenseRows::add_block(int a, int b, int rows) {
   return problem_.contacts.back();
 }
 
-// Adds a body's part of the rows to the coefficients of its tree, which begin at `column`.
-void DenseRows::add_rows(int column, int block, int body, const Vec3& x, const Vec3* directions, int rows, double sign,
-                         const Placements& at) {
-  const int first = problem_.start[block], size = problem_.size(block);
-  body_rows_.block(first, 0, size, rows).setZero();
-  add_point_rows(scene_->tree, at, body, x, directions, sign, body_rows_.leftCols(rows));
-  Eigen::Map<MatX>(problem_.W.data() + column, size, rows) += body_rows_.block(first, 0, size, rows);
+// Adds a body's part of the rows of a block, which fill(rows (nv, c.rows)) adds to zeros.
+template <class Fill>
+void DenseRows::add_rows(const BlockContact& c, int body, const Fill& fill) {
+  if (body < 0) return;
+  const int tree = tree_of_joint_[body], first = problem_.start[tree], size = problem_.size(tree);
+  const int column = tree == c.a ? c.column : c.column + c.rows * problem_.size(c.a);
+  body_rows_.block(first, 0, size, c.rows).setZero();
+  fill(body_rows_.leftCols(c.rows));
+  Eigen::Map<MatX>(problem_.W.data() + column, size, c.rows) += body_rows_.block(first, 0, size, c.rows);
 }
 
 void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements& at) {
@@ -86,12 +89,26 @@ void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements
   block.mu = c.mu;
   const Vec3& t1 = at_end ? c.t1_1 : c.t1_0;
   const Vec3 directions[3] = {contact.normal, c.shares[0] * t1, c.shares[1] * contact.normal.cross(t1)};
-  const int size_1 = problem_.size(first);
-  const int column_2 = block.column + block.rows * size_1;
-  if (tree_a >= 0) add_rows(block.column, first, contact.body_a, contact.point_a, directions, block.rows, -1.0, at);
-  if (tree_b < 0) return;
-  add_rows(tree_b == first ? block.column : column_2, tree_b, contact.body_b, contact.point_b, directions, block.rows,
-           1.0, at);
+  const auto add = [&](int body, const Vec3& x, double sign) {
+    add_rows(block, body, [&](Eigen::Ref<MatX> W) { add_point_rows(scene_->tree, at, body, x, directions, sign, W); });
+  };
+  add(contact.body_a, contact.point_a, -1.0);
+  add(contact.body_b, contact.point_b, 1.0);
+}
+
+// The turning friction of the contact with the block `of`.
+void DenseRows::add_turning(const DenseContact& c, int of, bool at_end, const Placements& at) {
+  const Contact& contact = at_end ? c.at1 : c.at0;
+  const BlockContact& block = add_block(problem_.contacts[of].a, problem_.contacts[of].b, 3);
+  problem_.contacts.back().of = of;
+  problem_.contacts[of].turning = static_cast<int>(problem_.contacts.size()) - 1;
+  const Vec3& t1 = at_end ? c.t1_1 : c.t1_0;
+  const Vec3 axes[3] = {contact.normal, t1, contact.normal.cross(t1)};
+  const double radii[3] = {c.spinning, c.rolling, c.rolling};
+  for (const auto& [body, sign] : {std::pair(contact.body_a, -1.0), std::pair(contact.body_b, 1.0)})
+    add_rows(block, body, [&, body = body, sign = sign](Eigen::Ref<MatX> W) {
+      for (int k = 0; k < 3; ++k) add_turn_row(scene_->tree, at, body, axes[k], sign * radii[k], W.col(k));
+    });
 }
 
 // Rows that act on coupled joints, as they act on what moves them.
@@ -126,6 +143,9 @@ void DenseRows::set(const std::vector<DenseContact>& contacts, const std::vector
     const BlockContact& block = add_block(t, -1, 1);
     problem_.W[block.column + tree.joints[limit.joint].iv - problem_.start[t]] = limit.upper ? -1.0 : 1.0;
   }
+  for (std::size_t k = 0; k < active.size(); ++k)
+    if (contacts[active[k]].turns()) add_turning(contacts[active[k]], static_cast<int>(k), at_end, at);
+  first_joint_ = problem_.contacts.size();
   const Elements& e = tree.elements;
   for (int dof : e.friction_dofs) {
     const int t = tree_of_joint_[tree.dof_joint[dof]];

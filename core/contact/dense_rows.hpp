@@ -35,6 +35,8 @@ class DenseRows {
   BlockProblem& problem() { return problem_; }
   const BlockProblem& problem() const { return problem_; }
   const BlockContact& block(std::size_t k) const { return problem_.contacts[k]; }
+  // First block of joint friction. Before it are those of the contacts, then those of their turning friction.
+  std::size_t first_joint() const { return first_joint_; }
   // Velocity of row r of block k, without its offset.
   double velocity(std::size_t k, int r, const VecX& v) const { return row_velocity(problem_, block(k), r, v); }
   // p += W lambda.
@@ -48,8 +50,9 @@ class DenseRows {
   void project(const BlockContact& c);
   BlockContact& add_block(int a, int b, int rows);
   void add_contact(const DenseContact& c, bool at_end, const Placements& at);
-  void add_rows(int column, int block, int body, const Vec3& x, const Vec3* directions, int rows, double sign,
-                const Placements& at);
+  void add_turning(const DenseContact& c, int of, bool at_end, const Placements& at);
+  template <class Fill>
+  void add_rows(const BlockContact& c, int body, const Fill& fill);
 
   const Scene* scene_;
   BlockProblem problem_;
@@ -59,6 +62,7 @@ class DenseRows {
   MatX spare_inverse_;              // C c C^T but for a factor, (nv, nv); empty: no joints are coupled
   std::vector<double> whole_rows_;  // as BlockProblem::W, before they were projected
   int rows_ = 0, columns_ = 0;
+  std::size_t first_joint_ = 0;
 };
 
 }  // namespace contactvi

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "cone/turning_law.hpp"
 #include "contact/dense_energy.hpp"
 #include "step/path.hpp"
 #include "step/projection.hpp"
@@ -128,7 +129,7 @@ bool DenseStep::iterate_stage() {
 
 void DenseStep::set_start_momentum() {
   p_start_ = p0_;
-  rows_.add_impulses(lambda_, p_start_);
+  rows_.add_impulses(adheres_ ? VecX(lambda_ - pull_) : lambda_, p_start_);
   if (constrained()) p_start_ += start_.whole * start_.mu;
 }
 
@@ -142,6 +143,7 @@ bool DenseStep::solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, con
   if (!std::isfinite(integrator_.iterate(p_start_, true, true))) return fail("a number is not finite");
   rows_.clear();
   lambda_.resize(0);
+  adheres_ = false;
   start_.mu.setZero();
   end_.mu.setZero();
   contraction_ = 1.0;
@@ -190,7 +192,10 @@ double DenseStep::place_end() {
     const BlockContact& block = rows_.block(k);
     candidates_.evaluate(c.law, c.at1);
     const double gap = c.at1.gap - c.allowed, n = lambda_[block.row];
-    const double least = block.rows == 3 ? lambda_.segment<2>(block.row + 1).norm() / c.mu : 0.0;
+    const double least = c.turns()
+                             ? least_normal(c.mu, lambda_.segment<3>(block.row), lambda_.segment<3>(turning_row(k)))
+                         : block.rows == 3 ? lambda_.segment<2>(block.row + 1).norm() / c.mu
+                                           : 0.0;
     // What the normal impulse above its bound moves the contact by in the step: a gap that is open counts up to that.
     const double lift = std::max(0.0, n - least) * mobility_[k] * h_;
     const double off = std::max(-gap, std::min(gap, lift));
@@ -240,6 +245,7 @@ void DenseStep::set_slips() {
     if (c.rows() == 1 || !c.loaded()) continue;
     c.t1_1 = end_tangent(c);
     c.drift1 = drift(c, true);
+    c.turning_drift1 = turning_drift(c, true);
     lasting_.push_back(i);
   }
   end_rows_.set(all, lasting_, true, guards_->placements(), h_);
@@ -249,6 +255,11 @@ void DenseStep::set_slips() {
       rows_.problem().offset[rows_.block(i).row + r] =
           0.5 * (end_rows_.velocity(k, r, v_) - rows_.velocity(i, r, v_)) +
           0.5 * (all[active_[i]].drift0[r - 1] + all[active_[i]].drift1[r - 1]);
+    const DenseContact& c = all[active_[i]];
+    for (int r = 0; r < 3 && c.turns(); ++r)
+      rows_.problem().offset[turning_row(i) + r] =
+          0.5 * (end_rows_.velocity(end_rows_.block(k).turning, r, v_) - rows_.velocity(rows_.block(i).turning, r, v_) +
+                 c.turning_drift0[r] + c.turning_drift1[r]);
     ++k;
   }
 }
@@ -270,6 +281,46 @@ Vec3 DenseStep::end_tangent(const DenseContact& c) {
   if (!scene_->is_pair(c.point.guard)) return Vec3::Zero();
   return guards_->has_axis(c.point.guard) ? guards_->tangent(c.point.guard, c.at1.normal)
                                           : carried_tangent(c.t1_0, c.at0.normal, c.at1.normal);
+}
+
+// The adhesion of the present problem: of the points that touch at the start of the step, unless they separate faster
+// than the pull could stop within it.
+void DenseStep::set_pulls() {
+  adheres_ = false;
+  std::vector<DenseContact>& all = candidates_.contacts();
+  for (DenseContact& c : all) c.pull.setZero();
+  if (std::none_of(scene_->laws.begin(), scene_->laws.end(), [](const ContactLaw& law) { return law.adheres(); }))
+    return;
+  pull_.setZero(rows_.problem().rows());
+  // Of a pair, or of a body (below zero): what it pulls with at a time, and the points that share it.
+  const auto touches = [&](const DenseContact& c) {
+    return c.at0.gap <= std::max(DenseCandidates::kGapPromised, candidates_.noise(c.point.guard));
+  };
+  const auto share = [&](const NumberFunction& pull, const auto& has) {
+    std::vector<std::size_t> points;
+    for (std::size_t i = 0; i < active_.size(); ++i)
+      if (const ContactLaw* law = scene_->law(all[active_[i]].point.guard); law != nullptr && touches(all[active_[i]]))
+        if (has(all[active_[i]].point.guard, *law)) points.push_back(i);
+    for (const std::size_t i : points)
+      for (int end = 0; end < 2; ++end)
+        all[active_[i]].pull[end] += 0.5 * h_ * std::max(0.0, pull(t_ + end * h_)) / static_cast<double>(points.size());
+  };
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    const int guard = all[active_[i]].point.guard;
+    const ContactLaw* law = scene_->law(guard);
+    const auto same = [&](int k) { return all[k].point.guard == guard; };
+    if (law == nullptr || !law->pull.given() || std::any_of(active_.begin(), active_.begin() + i, same)) continue;
+    share(law->pull, [guard](int other, const ContactLaw&) { return other == guard; });
+  }
+  for (int body = 0; body < static_cast<int>(scene_->body_pulls.size()); ++body)
+    share(scene_->body_pulls[static_cast<std::size_t>(body)],
+          [body](int, const ContactLaw& law) { return law.body_pulls[0] == body || law.body_pulls[1] == body; });
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    DenseContact& c = all[active_[i]];
+    if (rows_.velocity(i, 0, v0_) > c.pull.sum() * mobility_[i]) c.pull.setZero();
+    pull_[rows_.block(i).row] = c.pull[0];
+    adheres_ |= c.pull.sum() > 0.0;
+  }
 }
 
 // Friction that depends on the slip is that of its speed at the start of the step.
@@ -294,6 +345,18 @@ Eigen::Vector2d DenseStep::drift(const DenseContact& c, bool at_end) {
                 : guards_->surface_velocity(c.point.guard, c.at0, c.t1_0, t_);
 }
 
+// The same of its turning friction.
+Vec3 DenseStep::turning_drift(const DenseContact& c, bool at_end) {
+  Vec3 found = Vec3::Zero();
+  if (!c.turns() || scene_->surface_motions.empty() || !guards_->moves(c.point.guard)) return found;
+  VecX rates(scene_->law(c.point.guard)->turning_rows());
+  guards_->surface_turning(c.point.guard, at_end ? c.at1 : c.at0, at_end ? c.t1_1 : c.t1_0, at_end ? t_ + h_ : t_,
+                           rates);
+  if (c.spinning > 0.0) found[0] = rates[0];
+  if (c.rolling > 0.0) found.tail<2>() = rates.tail<2>();
+  return found;
+}
+
 bool DenseStep::any_surface_moves() const {
   return !scene_->surface_motions.empty() &&
          std::any_of(contacts().begin(), contacts().end(),
@@ -309,7 +372,10 @@ bool DenseStep::position_problem() {
   integrator_.stage_velocity(v_);
   guards_->place(q0_);
   rows_.set(all, active_, false, guards_->placements(), h_);
-  for (DenseContact& c : all) c.drift0 = drift(c, false);
+  for (DenseContact& c : all) {
+    c.drift0 = drift(c, false);
+    c.turning_drift0 = turning_drift(c, false);
+  }
   set_friction();
   BlockProblem& problem = rows_.problem();
   lambda_.setZero(problem.rows());
@@ -322,6 +388,10 @@ bool DenseStep::position_problem() {
     problem.offset[block.row] = offset(c, i);
     if (block.rows == 3) problem.offset.segment<2>(block.row + 1) = c.drift0;
     lambda_.segment(block.row, block.rows) = c.position.head(block.rows);
+    if (c.turns()) {
+      lambda_.segment<3>(turning_row(i)) = c.position_turning;
+      problem.offset.segment<3>(turning_row(i)) = c.turning_drift0;
+    }
     mobility_[i] = rows_.mobility(i);
   }
   set_slips();
@@ -329,9 +399,11 @@ bool DenseStep::position_problem() {
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v_free_;
   solver_.prepare(problem);
+  set_pulls();
+  if (adheres_) solver_.free_velocity(problem, pull_, v_free_, problem.v_free);
   BlockResult result;
   double last = INFINITY;
-  VecX from = v_free_, before = VecX::Zero(problem.rows());  // velocities, and the impulses with which they are
+  VecX from = problem.v_free, before = VecX::Zero(problem.rows());  // velocities, and the impulses with which they are
   for (int k = 0;; ++k) {
     work_ = v_;
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
@@ -359,9 +431,13 @@ bool DenseStep::position_problem() {
     const BlockContact& block = rows_.block(i);
     // The solver's rounding at points that stay open.
     const double lift = lambda_[block.row] * mobility_[i] * h_;
-    if (c.at1.gap - c.allowed > gap_solved_ && lift <= gap_solved_) lambda_.segment(block.row, block.rows).setZero();
+    const bool open = c.at1.gap - c.allowed > gap_solved_ && lift <= gap_solved_;
+    if (open) lambda_.segment(block.row, block.rows).setZero();
     c.position.setZero();
     c.position.head(block.rows) = lambda_.segment(block.row, block.rows);
+    if (!c.turns()) continue;
+    if (open) lambda_.segment<3>(turning_row(i)).setZero();
+    c.position_turning = lambda_.segment<3>(turning_row(i));
   }
   joint_friction_ = lambda_.tail(joint_friction_.size());
   return true;
@@ -400,6 +476,20 @@ bool DenseStep::position_impulses() {
 
 // --- velocity impulse ---
 
+// Adhesion acts to the end of the step also where a contact has opened within it: with half of it the energy would rise.
+void DenseStep::pull_at_end() {
+  const std::vector<DenseContact>& all = contacts();
+  lasting_.clear();
+  for (int i = 0; i < static_cast<int>(all.size()); ++i)
+    if (all[i].pull[1] > 0.0) lasting_.push_back(i);
+  end_rows_.set(all, lasting_, true, guards_->placements(), h_);
+  VecX impulses = VecX::Zero(end_rows_.problem().rows());
+  for (std::size_t k = 0; k < lasting_.size(); ++k) impulses[end_rows_.block(k).row] = -all[lasting_[k]].pull[1];
+  end_rows_.add_impulses(impulses, p1_);
+  v1_ = p1_;
+  integrator_.solve_mass(v1_);
+}
+
 bool DenseStep::velocity_impulses(double bound_energy) {
   guards_->place(q1_);
   std::vector<DenseContact>& all = candidates_.contacts();
@@ -411,8 +501,10 @@ bool DenseStep::velocity_impulses(double bound_energy) {
     c.closed = c.at1.gap <= std::max(kTouching, lift);
     c.t1_1 = end_tangent(c);
     c.drift1 = drift(c, true);
+    c.turning_drift1 = turning_drift(c, true);
     if (c.closed) active_.push_back(i);
   }
+  if (adheres_) pull_at_end();
   work_ = v1_;
   rows_.set_masses([this](MatX& X) { integrator_.solve_masses(X); });
   if (!masses_are_positive()) return fail("the masses of a dense step are not positive");
@@ -428,6 +520,9 @@ bool DenseStep::velocity_impulses(double bound_energy) {
     const BlockContact& block = rows_.block(i);
     lambda_.segment(block.row, block.rows) = all[active_[i]].velocity.head(block.rows);
     if (block.rows == 3) problem.offset.segment<2>(block.row + 1) = all[active_[i]].drift1;
+    if (!all[active_[i]].turns()) continue;
+    lambda_.segment<3>(turning_row(i)) = all[active_[i]].velocity_turning;
+    problem.offset.segment<3>(turning_row(i)) = all[active_[i]].turning_drift1;
   }
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v1_;
@@ -458,7 +553,7 @@ void DenseStep::expand(double bound_energy) {
   }
   if (!any) return;
   // The friction of joints in the expansion is what their bound has left.
-  for (std::size_t i = active_.size(); i < problem.contacts.size(); ++i) {
+  for (std::size_t i = rows_.first_joint(); i < problem.contacts.size(); ++i) {
     BlockContact& joint = problem.contacts[i];
     joint.box = std::max(kLeastDivisor, joint.box - std::abs(lambda_end_[joint.row]));
   }
@@ -559,7 +654,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
 // Work [J] of the impulses of joint friction in a problem with its rows, at the velocity v.
 double DenseStep::joint_friction_work(const VecX& lambda, const VecX& v) const {
   double work = 0.0;
-  for (std::size_t i = active_.size(); i < rows_.problem().contacts.size(); ++i)
+  for (std::size_t i = rows_.first_joint(); i < rows_.problem().contacts.size(); ++i)
     work += lambda[rows_.block(i).row] * rows_.velocity(i, 0, v);
   return work;
 }
@@ -569,6 +664,8 @@ void DenseStep::set_results(const VecX& lambda) {
   std::vector<DenseContact>& all = candidates_.contacts();
   for (DenseContact& c : all) {
     c.velocity.setZero();
+    c.velocity_turning.setZero();
+    c.turning_speed.setZero();
     c.slip_W.setZero();
     c.slip_speed = 0.0;
   }
@@ -576,6 +673,10 @@ void DenseStep::set_results(const VecX& lambda) {
     DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
     c.velocity.head(block.rows) = lambda.segment(block.row, block.rows);
+    if (c.turns()) {
+      c.velocity_turning = lambda.segment<3>(turning_row(i));
+      for (int r = 0; r < 3; ++r) c.turning_speed[r] = rows_.velocity(block.turning, r, v1_) + c.turning_drift1[r];
+    }
     if (block.rows == 3) {
       const Eigen::Vector2d w(rows_.velocity(i, 1, v1_), rows_.velocity(i, 2, v1_));
       c.slip_W = c.frame(true).slip(w + c.drift1);
@@ -608,6 +709,10 @@ void DenseStep::commit() {
     const Vec3 start = pair ? c.position_W() : c.position;
     const Vec3 end = c.expands ? start : pair ? c.velocity_W() : c.velocity;
     memory_.impulses.push_back({c.point.guard, c.point.feature, start / h_, end / h_});
+    if (!c.turns()) continue;
+    const Vec3 turning = c.turning_W(c.position_turning, false) / h_;
+    memory_.impulses.back().position_turning = turning;
+    memory_.impulses.back().velocity_turning = c.expands ? turning : Vec3(c.turning_W(c.velocity_turning, true) / h_);
   }
 }
 

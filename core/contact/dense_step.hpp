@@ -144,7 +144,12 @@ class DenseStep {
   double offset(const DenseContact& c, std::size_t i) const;
   Vec3 end_tangent(const DenseContact& c);
   void set_friction();
+  void set_pulls();
+  void pull_at_end();
   Eigen::Vector2d drift(const DenseContact& c, bool at_end);
+  Vec3 turning_drift(const DenseContact& c, bool at_end);
+  // First row of the turning friction of active contact k.
+  int turning_row(std::size_t k) const { return rows_.block(rows_.block(k).turning).row; }
   bool any_surface_moves() const;
   double constraint_work() const;
   bool velocity_impulses(double bound_energy);
@@ -164,13 +169,15 @@ class DenseStep {
   DenseCandidates candidates_;
   DenseRows rows_, end_rows_;     // end_rows_: of the contacts lasting_, for their slips
   std::vector<int> active_;       // contacts of the present problem; joint friction follows them
-  std::vector<int> lasting_;      // those among them that were loaded in the last step
+  std::vector<int> lasting_;      // those among them that were loaded in the last step; at the end, those that adhere
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
   Memory memory_;
   Constraints start_, end_;
   Reduction reduction_;  // of the constraints at the end of the step without contacts
   VecX q0_, q_free_, p0_, v0_, v_free_, v_, v1_, q1_, p1_;
   VecX p_start_, bound_, work_;  // momentum after the position impulse; bound on the velocities; workspace
+  VecX pull_;                    // impulses of adhesion in the rows of the present problem; where adheres_
+  bool adheres_ = false;         // anything in this step
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
   Kept kept_ = Kept::kGaps;

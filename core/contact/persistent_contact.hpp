@@ -21,6 +21,7 @@ struct PersistentContact {
   Vec3 force = Vec3::Zero();    // (n, t1, t2) in the last step [N]: start values of the next one
   bool is_new = false;          // while an event is resolved: the contact was not closed before it
   double pull_share = 1.0;      // of the adhesion of its pair: one over the most points that have touched at once
+  Eigen::Vector2d body_shares = Eigen::Vector2d::Ones();  // of those of its bodies (ContactLaw::body_pulls), likewise
   // Its slip is a velocity also where a material point touches: a surface moves along itself, or friction depends
   // on the direction.
   bool by_velocity = false;
@@ -41,8 +42,9 @@ struct PersistentContact {
   bool slides() const { return mu > 0.0 && !sticks; }  // with friction
 };
 
-// Adhesion at the time t [s]: its part of what its pair pulls with [N].
+// Adhesion at the time t [s]: its part of what its pair and its bodies pull with [N], and its derivative by the time.
 double adhesion(const Scene& scene, const PersistentContact& contact, double t);
+double adhesion_rate(const Scene& scene, const PersistentContact& contact, double t);
 bool any_adhesion(const Scene& scene, const std::vector<PersistentContact>& contacts);
 
 // The result of a step for one persistent contact.

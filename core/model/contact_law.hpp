@@ -47,6 +47,8 @@ struct ContactLaw {
   NumberFunction mu;        // friction of the speed of the slip, instead of the pair's number
   double static_mu = -1.0;  // friction of what sticks; -1: as that of what slides
   NumberFunction pull;      // adhesion by the time [N], shared by the points that touch
+  // Adhesion of its bodies besides, in Scene::body_pulls; -1: none.
+  int body_pulls[2] = {-1, -1};
   // Friction that depends on its direction: the axis of the shares, in the frame of the first or the second geometry of
   // the pair, and how much of the coefficient acts along it and across it in the tangent plane.
   int axis_of = -1;
@@ -56,6 +58,7 @@ struct ContactLaw {
   double spinning = 0.0, rolling = 0.0;
   // Whether an impact is not Poisson's in two phases.
   bool is_other() const { return restitution != RestitutionLaw::kPoisson || incremental || tangential > 0.0; }
+  bool adheres() const { return pull.given() || body_pulls[0] >= 0; }
   // Rows of a point with friction beside (n, t1, t2).
   int turning_rows() const { return (spinning > 0.0 ? 1 : 0) + (rolling > 0.0 ? 2 : 0); }
 };

@@ -65,6 +65,7 @@ struct Scene {
   std::vector<Pair> pairs;
   std::vector<ContactLaw> laws;                 // of the pairs that have one
   std::vector<SurfaceMotion> surface_motions;   // of the geometries that have one
+  std::vector<NumberFunction> body_pulls;       // adhesion of bodies by the time [N], shared by all points of a body
   std::shared_ptr<const PairTable> pair_table;  // of the pairs, made by prepare_geometry
 
   int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }
@@ -91,7 +92,7 @@ struct Scene {
   // Whether a surface of some pair moves along itself, or adhesion may depend on the time.
   bool contacts_depend_on_time() const {
     for (const Pair& pair : pairs)
-      if (pair.moves || (pair.law >= 0 && laws[pair.law].pull.given())) return true;
+      if (pair.moves || (pair.law >= 0 && laws[pair.law].adheres())) return true;
     return false;
   }
   // Rows of a point: the normal one, with friction those of slip, spinning and rolling.

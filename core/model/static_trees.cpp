@@ -169,6 +169,7 @@ void restrict_geometry(const Scene& whole, const StaticTrees& trees, const std::
   };
   sub.scene.laws = whole.laws;
   sub.scene.surface_motions = whole.surface_motions;
+  sub.scene.body_pulls = whole.body_pulls;
   for (int k : pairs) {
     Pair pair = whole.pairs[k];
     pair.a = number(pair.a);

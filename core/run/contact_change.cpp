@@ -9,7 +9,8 @@ namespace contactvi {
 namespace {
 constexpr double kAlpha = 1e-13;  // of a step: accuracy to which changes of contact are located
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: accurate enough for a root
-constexpr int kLocatedSticks = 3;        // transitions to stick located per interval; the error of the others is O(h^2)
+// Transitions to stick located per interval and contact or joint that may slip; the error of the others is O(h^2).
+constexpr int kLocatedSticks = 3;
 constexpr int kMaxEvaluations = 60;      // partial steps to locate one change
 constexpr double kSameInstant = 1e-6;    // of a step: slips that end closer together end at one instant
 constexpr double kForceRounding = 1e-9;  // of the largest force: contact forces below it are rounding
@@ -75,7 +76,7 @@ bool ContactChangeFinder::remaining_slip(const VecX& tau, double alpha, double& 
 
 bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
   sticking_ = stuck_ = -1;
-  if (sticks_located_ >= kLocatedSticks) return true;
+  if (sticks_located_ >= kLocatedSticks * step_->slips()) return true;
   const double small = kSmallSlip * (1.0 + step_->end_velocity().cwiseAbs().maxCoeff());
   ending_slips_.clear();
   for (int i = 0; i < step_->slips(); ++i)

@@ -49,26 +49,40 @@ void ContactSet::update_persistent_guards() {
     std::vector<const ContactPoint*> points;
     for (const PersistentContact& other : step_->contacts())
       if (other.point.guard == g) points.push_back(&other.point);
-    share_adhesion(g, points.size());
     guards_->set_persistent(g, std::move(points));
     persistent_guards_.push_back(g);
   }
+  share_adhesion();
   step_->invalidate();
 }
 
 // What has let go at some points does not pull more at the others.
-void ContactSet::share_adhesion(int guard, std::size_t points) {
-  const ContactLaw* law = scene_->law(guard);
-  if (law == nullptr || !law->pull.given()) return;
-  double share = 1.0 / static_cast<double>(points);
-  for (int pass = 0; pass < 2; ++pass)
-    for (PersistentContact& c : step_->contacts()) {
-      if (c.point.guard != guard) continue;
-      if (pass == 0)
-        share = std::min(share, c.pull_share);
-      else
-        c.pull_share = share;
-    }
+void ContactSet::share_adhesion() {
+  std::vector<PersistentContact>& contacts = step_->contacts();
+  if (!any_adhesion(*scene_, contacts)) return;
+  // share(contact, source): its share of what pulls, a pair or a body; null where that does not pull there.
+  const auto divide = [&](int source, const auto& share) {
+    double points = 0.0, least = 1.0;
+    for (PersistentContact& c : contacts)
+      if (const double* own = share(c, source)) {
+        ++points;
+        least = std::min(least, *own);
+      }
+    for (PersistentContact& c : contacts)
+      if (double* own = share(c, source)) *own = std::min(least, 1.0 / points);
+  };
+  const auto of_pair = [&](PersistentContact& c, int guard) {
+    const ContactLaw* law = scene_->law(guard);
+    return c.point.guard == guard && law != nullptr && law->pull.given() ? &c.pull_share : nullptr;
+  };
+  const auto of_body = [&](PersistentContact& c, int body) -> double* {
+    const ContactLaw* law = scene_->law(c.point.guard);
+    for (int k = 0; k < 2 && law != nullptr; ++k)
+      if (law->body_pulls[k] == body) return &c.body_shares[k];
+    return nullptr;
+  };
+  for (const int guard : persistent_guards_) divide(guard, of_pair);
+  for (int body = 0; body < static_cast<int>(scene_->body_pulls.size()); ++body) divide(body, of_body);
 }
 
 PersistentContact ContactSet::make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip) {
@@ -140,6 +154,17 @@ void ContactSet::keep_point(const ClosedGuard& c, int k) {
   step_->contacts().push_back(persistent);
 }
 
+// How a point of a dense step spins and rolls at its end.
+void ContactSet::take_turning(const DenseContact& c, double h, PersistentContact& persistent) const {
+  const double still = kPersists * (1.0 + v_.cwiseAbs().maxCoeff());
+  persistent.spin = c.turning_speed[0];
+  persistent.sticks = std::hypot(persistent.slip.norm(), persistent.spin) <= still;
+  persistent.roll = c.turning_W(Vec3(0.0, c.turning_speed[1], c.turning_speed[2]), true);
+  if (persistent.roll.norm() <= still) persistent.roll.setZero();
+  const Vec3 force = (c.position_turning + c.velocity_turning) / h;
+  persistent.turning_force = persistent.spinning > 0.0 ? force : Vec3(force[1], force[2], 0.0);
+}
+
 bool ContactSet::follow(const DenseStep& dense, double time, Recording& recording) {
   guards_->place(dense.end_configuration());
   v_ = dense.end_velocity();
@@ -155,6 +180,7 @@ bool ContactSet::follow(const DenseStep& dense, double time, Recording& recordin
     const bool is_vertex = c.point.kind == PointKind::kVertex && c.point.plane_body >= 0;
     persistent.tangent = is_vertex ? Vec3(guards_->placements().R_W[c.point.plane_body].transpose() * c.t1_1) : c.t1_1;
     persistent.force = (c.position + c.velocity) / dense.h();
+    if (c.turns()) take_turning(c, dense.h(), persistent);
     if (find_contact(previous_, c.point.guard, c.point) == nullptr) {
       record_change(time, c.point, Change::kBegin, 0.0, recording);
       changed = true;
@@ -246,7 +272,7 @@ std::vector<char> ContactSet::letting_go(int i, const VecX& tau) {
   found[static_cast<std::size_t>(i)] = 1;
   const int guard = contacts[static_cast<std::size_t>(i)].point.guard;
   const ContactLaw* law = scene_->law(guard);
-  if (law == nullptr || !law->pull.given()) return found;
+  if (law == nullptr || !law->adheres()) return found;
   if (!step_->persistent_forces_at(run_->q, run_->p, tau, forces_)) return found;
   const double least = kLetGoTogether * step_->force_scale();
   for (std::size_t k = 0; k < contacts.size(); ++k)

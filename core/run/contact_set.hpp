@@ -48,6 +48,7 @@ class ContactSet {
 
  private:
   void set_turning(const ClosedGuard& c, int k, PersistentContact& persistent) const;
+  void take_turning(const DenseContact& c, double h, PersistentContact& persistent) const;
   PersistentContact make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip);
   bool persists(const ClosedGuard& c, int k, int forced, double slow);
   void keep_point(const ClosedGuard& c, int k);
@@ -57,7 +58,7 @@ class ContactSet {
   bool points_changed(int guard);
   void forget_separated(int guard);
   bool find_touching(int guard);
-  void share_adhesion(int guard, std::size_t points);
+  void share_adhesion();
   std::vector<char> letting_go(int i, const VecX& tau);
 
   const Scene* scene_;

@@ -26,10 +26,6 @@ constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is t
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
 
-bool has_adhesion(const Scene& scene) {
-  return std::any_of(scene.laws.begin(), scene.laws.end(), [](const ContactLaw& law) { return law.pull.given(); });
-}
-
 // Of what a burst of few points may cost, that of so many. Each of n points is open or closed, which makes 2^n sets:
 // what locating them tells is one of these, and worth the less the more there are that the same scene but for rounding
 // might have taken.
@@ -39,8 +35,7 @@ double share_of_burst(double points) { return points > kFew ? std::exp2(kFew - p
 
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
-  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact() &&
-         (scene_->laws.empty() || (!has_turning_friction(*scene_) && !has_adhesion(*scene_)));
+  return options_.contact_steps != ContactSteps::kEvents && allows_persistent_contact();
 }
 
 // What locating events has cost so far [us].
@@ -231,7 +226,8 @@ void Simulator::record_dense_contact(const DenseContact& c, double time, double 
                            : c.slip_speed > slow ? ContactMode::kSlips
                                                  : ContactMode::kSticks;
   recording.contacts.push_back({time, h, c.point.guard, c.point.feature, mode, state_.step,
-                                0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal, c.position_W(), c.velocity_W(),
+                                0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal,
+                                c.position_W() - c.pull[0] * c.at0.normal, c.velocity_W() - c.pull[1] * c.at1.normal,
                                 c.at1.gap, c.slip_W, 0.0, true});
 }
 

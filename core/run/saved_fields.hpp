@@ -152,10 +152,10 @@ void fields(Archive& a, Contact& x) {
 
 template <class Archive>
 void fields(Archive& a, PersistentContact& x) {
-  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, by_velocity, spinning,
-         rolling, spin, roll, turning_force] = x;
-  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, by_velocity,
-         spinning, rolling, spin, roll, turning_force);
+  auto& [point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, body_shares,
+         by_velocity, spinning, rolling, spin, roll, turning_force] = x;
+  values(a, point, mu, sticks, heading, slip, anchored, anchor, tangent, force, is_new, pull_share, body_shares,
+         by_velocity, spinning, rolling, spin, roll, turning_force);
 }
 
 template <class Archive>
@@ -198,8 +198,8 @@ void fields(Archive& a, ContactStep::Memory& x) {
 
 template <class Archive>
 void fields(Archive& a, DenseImpulse& x) {
-  auto& [guard, feature, position_force, velocity_force] = x;
-  values(a, guard, feature, position_force, velocity_force);
+  auto& [guard, feature, position_force, velocity_force, position_turning, velocity_turning] = x;
+  values(a, guard, feature, position_force, velocity_force, position_turning, velocity_turning);
 }
 
 template <class Archive>

@@ -184,7 +184,11 @@ void step_fields(Archive& a, Step& s) {
 template <class Archive, class Persistent>
 void law_fields(Archive& a, Persistent& c) {
   a.number(c.pull_share);
-  a.whole(c.by_velocity);
+  // Files of versions without adhesion of bodies have no number above 1 here.
+  int kind = (c.by_velocity ? 1 : 0) + ((c.body_shares.array() == 1.0).all() ? 0 : 2);
+  a.whole(kind);
+  if constexpr (!std::is_const_v<Persistent>) c.by_velocity = kind % 2 == 1;
+  if (kind >= 2) a.fixed(c.body_shares);
   for (auto* x : {&c.spinning, &c.rolling, &c.spin}) a.number(*x);
   a.fixed(c.roll);
 }
@@ -313,6 +317,7 @@ bool belongs(const Scene& scene, const ContactPoint& p) {
 // Whether a contact has the laws of its pair.
 bool has_laws(const Scene& scene, const PersistentContact& c) {
   if (!belongs(scene, c.point) || !(c.mu >= 0.0) || !(c.pull_share >= 0.0 && c.pull_share <= 1.0)) return false;
+  if (!(c.body_shares.minCoeff() >= 0.0 && c.body_shares.maxCoeff() <= 1.0)) return false;
   const ContactLaw* law = scene.law(c.point.guard);
   const double spinning = law != nullptr ? law->spinning : 0.0, rolling = law != nullptr ? law->rolling : 0.0;
   return c.spinning == spinning && c.rolling == rolling;

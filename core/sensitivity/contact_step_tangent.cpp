@@ -213,7 +213,7 @@ void ContactStepTangent::take_laws() {
     for (const ContactStepRecord::Contact& c : s.contacts) {
       const double force = adhesion(*scene_, c.before, t);
       if (force == 0.0) continue;
-      const double rate = c.before.pull_share * scene_->law(c.before.point.guard)->pull.slope(t);
+      const double rate = adhesion_rate(*scene_, c.before, t);
       pull_[end][c.row] = 0.5 * s.h * force;
       pull_by_t_[end][c.row] = 0.5 * s.h * rate;
       pull_by_h_[end][c.row] = 0.5 * (force + (end == 0 ? 0.0 : s.h * rate));

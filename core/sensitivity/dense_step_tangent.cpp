@@ -53,7 +53,17 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   rows_ = static_cast<int>(step.lambda.size());
   constraints_ = step.constraints;
   has_friction_ = !step.joints.empty();
-  for (const DenseStepRecord::Contact& c : step.contacts) has_friction_ |= c.mu > 0.0;
+  for (const DenseStepRecord::Contact& c : step.contacts) {
+    has_friction_ |= c.mu > 0.0;
+    const ContactLaw* law = scene_->law(c.point.guard);
+    if (law == nullptr || (law->turning_rows() == 0 && !law->adheres())) continue;
+    const bool turns = law->turning_rows() > 0;
+    refuse("law", c.point.guard, "A dense step has a law of contact without a derivative there",
+           "friction against slip alone, and no adhesion, where events accumulate",
+           turns ? "friction against spinning or rolling" : "adhesion",
+           turns ? "Use contact_mode='events', or spinning_radius=0, rolling_radius=0"
+                 : "Use contact_mode='events', or adhesion=0");
+  }
   take_geometry();
   take_masses(tau, servo);
   take_coefficients();

@@ -101,7 +101,7 @@ void HeldNode::take_pulls(const std::vector<PersistentContact>& contacts, const 
     const double pull = phase.site(number, i).pull;
     if (pull == 0.0) continue;
     pulls_[first_[i]] = -pull;
-    pull_rates_[first_[i]] = -contacts[i].pull_share * scene_->law(contacts[i].point.guard)->pull.slope(t);
+    pull_rates_[first_[i]] = -adhesion_rate(*scene_, contacts[i], t);
   }
 }
 

@@ -7,8 +7,8 @@ namespace contactvi {
 void require_plain_law(const Scene& scene, int guard, double time) {
   const ContactLaw* law = scene.law(guard);
   const bool moves = scene.is_pair(guard) && scene.pairs[guard].moves && scene.friction(guard) > 0.0;
-  const bool other = law != nullptr && (scene.friction_varies(guard) || law->axis_of >= 0 || law->pull.given() ||
-                                        law->turning_rows() > 0);
+  const bool other = law != nullptr &&
+                     (scene.friction_varies(guard) || law->axis_of >= 0 || law->adheres() || law->turning_rows() > 0);
   if (!moves && !other) return;
   throw NoDerivative({"law", guard, time}, "The file of the run lacks what derivatives through this contact need",
                      "in files of older versions Coulomb's friction with one number, on surfaces that do not move "

@@ -53,6 +53,26 @@ def test_small_heaps(runner, family):
     assert not report.found, str(report)
 
 
+TURNING = [(0.02, 0.005), (0.01, 0.0), (0.0, 0.01)]  # radii [m] of friction against spinning and rolling
+
+
+@pytest.mark.parametrize("family", [family for family in SMALL if SMALL[family][2] > 0.0])
+def test_small_heaps_with_turning_friction(runner, family):
+    count, restitution, friction = SMALL[family]
+    chosen = {"restitution": restitution, "friction": friction, "count": count}
+    turning = TURNING[len(family) % len(TURNING)]
+    report = runner.examine(family, 2, SHORT_LIMIT, duration=0.3, turning=turning, **chosen)
+    assert not report.found, str(report)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("turning", TURNING)
+@pytest.mark.parametrize("family", heaps.FAMILIES)
+def test_every_family_with_turning_friction(runner, capsys, family, turning):
+    chosen = {"restitution": 0.3, "friction": 0.5, "turning": turning}
+    check(family, [runner.examine(family, seed, LIMIT, **chosen) for seed in range(3)], capsys)
+
+
 def test_a_step_in_contact_that_gains_energy_is_taken_shorter(runner):
     """A body that turns by 10 degrees a step gains 0.14 J of 18 J in one of them where it touches another."""
     report = runner.examine("bin", 668353, SHORT_LIMIT, restitution=0.0, friction=0.8, duration=0.34)
@@ -115,12 +135,14 @@ def test_no_failure_on_fresh_seeds(runner, capsys, part):
 
 
 def draw(start: int, number: int) -> dict[str, Any]:
-    """One of the fresh scenes: family, seed, restitution, friction."""
+    """One of the fresh scenes: family, seed, restitution, friction, and of some with friction that against turning."""
     rng = np.random.default_rng([start, number])
-    return {
+    drawn: dict[str, Any] = {
         "family": str(rng.choice(list(heaps.FAMILIES))), "seed": int(rng.integers(10**6)),
         "restitution": float(rng.choice(RESTITUTIONS)), "friction": float(rng.choice(FRICTIONS)),
     }  # fmt: skip
+    turning = TURNING[rng.integers(len(TURNING))]
+    return {**drawn, "turning": turning} if drawn["friction"] > 0.0 and rng.uniform() < 0.25 else drawn
 
 
 def check(title: str, reports: list[Report], capsys: pytest.CaptureFixture[str], about: str = "") -> None:

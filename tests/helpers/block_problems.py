@@ -33,6 +33,7 @@ class BlockProblem:
     offset: np.ndarray
     start: np.ndarray  # impulses of the step before
     equations: np.ndarray | None = None  # (nv, m): equations.T @ v stays what it is in v_free
+    turning: np.ndarray | None = None  # (m,): of rows (spin, roll1, roll2) the number of their point; else -1
 
     @property
     def first_row(self) -> np.ndarray:
@@ -70,6 +71,7 @@ class BlockProblem:
             self.mu, self.lower, self.box,
             np.concatenate([part.ravel() for parts in self.W for part in parts] or [np.zeros(0)]),
             self.v_free, self.offset, self.equations,
+            None if self.turning is None else self.turning.astype(np.int32),
         )  # fmt: skip
 
 
@@ -160,6 +162,30 @@ def heap(
     return BlockProblem(
         M, np.array(blocks).reshape(-1, 2), np.array(rows), np.array(mus), np.array(lower), np.array(box), W, v,
         offset, start,
+    )  # fmt: skip
+
+
+def with_turning(p: BlockProblem, rng: np.random.Generator, share: float, radius: float) -> BlockProblem:
+    """Points with friction get friction against spinning, rolling or both, of radii about this, with this chance."""
+    of: list[int] = [-1] * len(p.rows)
+    W = list(p.W)
+    for i, (rows, mu) in enumerate(zip(p.rows, p.mu, strict=True)):
+        if rows != 3 or mu == 0.0 or rng.uniform() >= share:
+            continue
+        spin, roll = radius * np.exp(rng.uniform(-1.0, 1.0, 2)) * np.array([(1, 1), (1, 0), (0, 1)][rng.integers(3)])
+        # The axes of turning are the directions of the rows: those of the velocity of the origin of a body.
+        parts = [np.zeros((3, part.shape[1])) for part in p.W[i]]
+        for turn, part in zip(parts, p.W[i], strict=True):
+            turn[:, 3:6] = np.diag([spin, roll, roll]) @ part[:, :3]
+        of.append(i)
+        W.append(parts)
+    new = len(of) - len(p.rows)
+    points = np.array(of[len(p.rows) :], dtype=int)
+    zeros, rows = np.zeros(new), np.zeros(3 * new)
+    return replace(
+        p, blocks=np.vstack([p.blocks, p.blocks[points].reshape(-1, 2)]), rows=np.r_[p.rows, np.full(new, 3)],
+        mu=np.r_[p.mu, zeros], lower=np.r_[p.lower, zeros], box=np.r_[p.box, zeros], W=W,
+        offset=np.r_[p.offset, rows], start=np.r_[p.start, rows], turning=np.array(of, dtype=int),
     )  # fmt: skip
 
 

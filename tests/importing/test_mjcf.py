@@ -371,7 +371,7 @@ def test_actuators_are_servos(tmp_path: Path):
     assert found["m"].force(0.5) == 1.5
     assert found["m"].force(9.0) == 3.0  # ctrl is cut to 1
     assert names(scene, "ignored", "actuator") == {
-        "lost": "has a state (muscle)", "thrust": "acts on a site, not on a joint",
+        "lost": "has a state (muscle)", "thrust": "acts on a site, not on a joint or a body",
     }  # fmt: skip
     ctrl = {"p": 0.5, "v": 0.5, "g": 0.2, "m": 0.4}
     for name, actuator in found.items():
@@ -512,3 +512,47 @@ def test_shapes_are_convex_and_planes_endless(tmp_path: Path):
     assert shapes["t"].num_points == 4
     assert shapes["t"].computeVolume() == pytest.approx(1 / 6, rel=1e-6)  # MuJoCo stores vertices in single precision
     assert oracle.differences(scene, m).largest() < 1e-6
+
+
+ADHESION = """<mujoco model="pads"><worldbody><geom name="ceiling" type="box" size="1 1 .1" pos="0 0 1.1"/>
+<body name="pad" pos="0 0 .9"><freejoint/><geom name="pad" type="box" size=".1 .1 .1" mass="2"/></body>
+<body name="post" pos="3 0 0"><geom name="post" size=".1"/></body></worldbody>
+<actuator><adhesion name="stick" body="pad" gain="50" ctrlrange="0 1"/>
+<adhesion name="fixed" body="post" gain="50" ctrlrange="0 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("mode", ["auto", "steps"])
+def test_adhesion_actuators_hold_what_mujoco_holds(tmp_path: Path, mode: str):
+    """A body hangs from its pad where the pull is more than its weight; MuJoCo's contacts begin with an overlap."""
+    scene, m = both(tmp_path, ADHESION)
+    (stick,) = scene.parts[0].actuators
+    assert (stick.kind, stick.body, stick.joint) == ("adhesion", "pad", "")
+    assert names(scene, "changed", "actuator") == {
+        "stick": "pulls once scene.set_body_adhesion('pad', ...) gives its control; what lets go leaves its share"
+    }
+    assert "fixed" in names(scene, "ignored", "actuator")
+    assert stick.force(0.5) == 25.0
+    assert stick.force(7.0) == 50.0  # ctrl is cut to 1
+    scene.set_contact(restitution=0.0)
+    for ctrl, holds in ((0.38, False), (0.39, False), (0.4, True), (0.8, True)):
+        d = mujoco.MjData(m)
+        d.qpos[2], d.ctrl[0] = 0.9 + 1e-4, ctrl
+        for _ in range(200):
+            mujoco.mj_step(m, d)
+        scene.set_body_adhesion(stick.body, lambda t, ctrl=ctrl: stick.force(ctrl))
+        run_ = cvi.simulate(scene, [0, 0, 0.9, 0, 0, 0, 1], np.zeros(6), 0.4, dt=0.01, contact_mode=mode)
+        assert (d.qpos[2] > 0.89) == (run_.q[-1][2] > 0.89) == holds
+
+
+def test_the_control_of_adhesion_may_change_between_steps(tmp_path: Path):
+    """The force that is needed to pull a body off is found by a program that turns the control down."""
+    scene, _ = both(tmp_path, ADHESION)
+    scene.set_contact(restitution=0.0)
+    (stick,), ctrl = scene.parts[0].actuators, np.array([1.0])
+    scene.set_body_adhesion(stick.body, lambda t: stick.force(float(ctrl[0])))
+    simulator = cvi.Simulator(scene, dt=0.01)
+    simulator.reset([0, 0, 0.9, 0, 0, 0, 1], np.zeros(6))
+    while simulator.q[2] > 0.9 - 1e-8:
+        ctrl[0] -= 0.01
+        simulator.step()
+    assert 50.0 * (ctrl[0] + 0.01) == pytest.approx(2.0 * 9.81, abs=0.51)

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+import contactvi as cvi
 from helpers import held_contact_scenes as scenes
 from helpers.held_contact_scenes import Held
 from oracles import joint_friction
@@ -246,3 +247,21 @@ def test_motions_are_asked_a_few_times_for_a_step():
     held.run(10, 8)
     # 98; with all states at either side of those, for the differences of the rows, 168
     assert calls < 12 * 10
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_every_end_of_a_slip_in_one_step_is_located(order):
+    """Six boxes on springs that hardly pull, which make them one island, stop within one step, each where it should."""
+    scene, mu, boxes = cvi.Scene(), 0.3, 6
+    scene.add_halfspace(name="ground")
+    start, speeds = [], mu * 9.81 * (0.052 + 0.045 * np.arange(boxes) / boxes)
+    for k in range(boxes):
+        scene.add_box(f"b{k}", (0.2, 0.15, 0.1), mass=1.0)
+        start += [0, 0.6 * k, 0.05, 0, 0, 0, 1]
+        if k:
+            scene.add_spring(f"b{k - 1}", f"b{k}", stiffness=1e-9, rest_length=0.6)
+    scene.set_contact(friction=mu, restitution=0.0)
+    v = np.outer(speeds, np.eye(6)[0]).ravel()
+    traj = cvi.simulate(scene, start, v, 0.2, 0.05, order=order, contact_mode="events")
+    assert traj.q[-1][::7] == pytest.approx(speeds**2 / (2.0 * mu * 9.81), abs=1e-12)
+    assert traj.friction_loss[-1] == pytest.approx(0.5 * np.sum(speeds**2), rel=1e-10)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -225,8 +226,6 @@ def test_what_is_no_law_of_friction_is_refused() -> None:
     scene.set_contact("ground", "box", friction=0.5, static_friction=0.3)
     with pytest.raises(cvi.SceneError, match="static_friction"):
         cvi.simulate(scene, FLAT, duration=0.1, dt=0.01)
-    with pytest.raises(cvi.InputError, match="adhesion"):
-        cvi.simulate(box_on_ground(adhesion=3.0), FLAT, duration=0.1, dt=0.01, contact_mode="steps")
     with pytest.raises(cvi.InputError, match="linear"):
         scene.set_surface_velocity("ground", (1.0, 2.0))
 
@@ -283,3 +282,74 @@ def test_the_last_law_of_friction_counts() -> None:
     mixed.set_contact(friction=[(0.0, 0.5), (1.0, 0.3)])
     with pytest.raises(cvi.SceneError, match="direction"):
         cvi.simulate(mixed, FLAT, duration=0.1, dt=0.01)
+
+
+@pytest.mark.parametrize("dt", [5e-3, 1e-3])
+def test_a_suction_cup_in_dense_steps(dt: float) -> None:
+    """The pull holds up to its bound; the box lets go within the step after it, at the latest, and falls from there."""
+    pull, load, rate = 40.0, 1.0, 30.0
+    scene = cvi.Scene()
+    scene.add_halfspace(name="ceiling", normal=(0.0, 0.0, -1.0), offset=-1.0)
+    scene.add_box("box", BOX, mass=MASS)
+    scene.set_contact(friction=0.3, restitution=0.0, adhesion=pull)
+    scene.add_wrench("box", lambda t: [0.0, 0.0, -(load + rate * t)])
+    start = FLAT.copy()
+    start[2] = 0.95
+    run = cvi.simulate(scene, start, np.zeros(6), duration=1.0, dt=dt, contact_mode="steps")
+    released = right.suction_release(MASS, pull, load, rate)
+    times = [row.time for row in run.contact_changes if row.change == "release"]
+    assert len(times) == 4
+    assert np.abs(np.array(times) - released).max() <= 2.0 * dt
+    before = run.t < released - dt
+    assert np.abs(run.q[before, 2] - 0.95).max() <= 1e-10
+    fall, speed = right.suction_fall(1.0, MASS, pull, load, rate)
+    # It falls later or sooner by up to two steps, with what the load is above the pull there.
+    assert -run.v[-1][2] == pytest.approx(speed, abs=2.0 * dt * (load + rate - 0.0) / MASS)
+    net = [row.force[2] for row in run.contacts if row.time < released - 2.0 * dt]
+    assert min(net) >= -pull / 4 * (1.0 + 1e-6)
+
+
+def test_adhesion_in_dense_steps_adds_to_friction() -> None:
+    pull, mu = 15.0, 0.3
+    scene = box_on_ground(mu, adhesion=pull)
+    run = cvi.simulate(scene, FLAT, [2.0, 0, 0, 0, 0, 0], duration=0.2, dt=0.01, contact_mode="steps")
+    assert run.v[-1][0] == pytest.approx(2.0 - mu * (9.81 + pull / MASS) * 0.2, abs=1e-7)
+    rows = [row for row in run.contacts if row.step == 5]
+    assert sum(row.force[2] for row in rows) == pytest.approx(MASS * 9.81, rel=1e-6)
+    assert run.ledger.dense_energy_rise.max() <= 0.0
+
+
+@pytest.mark.parametrize("mode", ["auto", "steps"])
+def test_adhesion_of_a_body_is_shared_by_all_that_it_touches(mode: str) -> None:
+    """A box hangs from a ceiling; at a ceiling and a wall half of its pull is at each."""
+    scene, height = cvi.Scene(), 1.0 - 0.5 * BOX[2]
+    scene.add_halfspace(name="ceiling", normal=(0.0, 0.0, -1.0), offset=-1.0)
+    scene.add_box("box", BOX, mass=MASS)
+    scene.set_contact(friction=0.5, restitution=0.0)
+    start, weight = np.array([0.0, 0.0, height, 0, 0, 0, 1.0]), MASS * 9.81
+
+    def holds(pull: float | Callable[[float], float]) -> bool:
+        scene.set_body_adhesion("box", pull)
+        run = cvi.simulate(scene, start, np.zeros(6), duration=0.1, dt=0.005, contact_mode=mode)
+        return bool(run.q[-1][2] > height - 1e-9)
+
+    assert not holds(0.99 * weight)
+    assert holds(1.01 * weight)
+    assert holds(lambda t: 1.5 * weight)
+    # The ceiling's half of the pull, and friction of what the other half presses to the wall, carry the weight.
+    scene.add_halfspace(name="wall", normal=(1.0, 0.0, 0.0), offset=-0.5 * BOX[0])
+    scene.set_contact("ceiling", friction=0.0)
+    assert holds(weight / 0.75 * 1.05)
+    assert not holds(weight / 0.75 * 0.95)
+    assert not holds(0.0)
+    with pytest.raises(cvi.InputError, match="one body that moves"):
+        scene.set_body_adhesion("wall", 1.0)
+
+
+def test_adhesion_of_a_body_is_stored(tmp_path) -> None:
+    scene = box_on_ground(0.4)
+    scene.set_body_adhesion("box", [(0.0, 3.0), (1.0, 5.0)])
+    run = cvi.simulate(scene, FLAT, [1.0, 0, 0, 0, 0, 0], duration=0.1, dt=0.01)
+    run.save(tmp_path / "run.npz")
+    again = cvi.simulate(cvi.Trajectory.load(tmp_path / "run.npz").scene, FLAT, [1.0, 0, 0, 0, 0, 0], 0.1, 0.01)
+    assert (again.q == run.q).all()

@@ -224,10 +224,141 @@ def test_dt_auto_and_higher_orders_leave_it_to_contact_steps():
         assert traj.stats.contact_steps > 0
 
 
+def dense(scene, q, v, duration: float, dt: float) -> cvi.Trajectory:
+    traj = cvi.simulate(scene, q, v, duration, dt, contact_mode="steps")
+    assert traj.status.ok
+    assert traj.ledger.dense_residual.max() <= 1e-4
+    assert traj.ledger.dense_energy_rise.max() <= 0.0
+    return traj
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.005])
+def test_ball_spins_down_in_dense_steps(dt):
+    """The torque is constant, so that only the step in which the ball stops is wrong, by its torque times h^2."""
+    drill, spin = 0.002, 3.0
+    scene, q = ball(spinning_radius=drill)
+    traj = dense(scene, q, [0, 0, 0, 0, 0, spin], 0.8, dt)
+    rate, stop, angle = spin_down(spin, 0.3, drill, RADIUS)
+    moving = traj.t < stop - dt
+    assert traj.v[moving, 5] == pytest.approx(spin - rate * traj.t[moving], abs=1e-7)
+    assert yaw(traj) == pytest.approx(angle, abs=rate * dt**2)
+    rest = traj.t > stop + dt
+    assert np.abs(traj.v[rest]).max() <= 1e-7
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.005])
+def test_ball_rolls_to_a_stop_in_dense_steps(dt):
+    v, rho = 0.05, 0.001
+    scene, q = ball(rolling_radius=rho)
+    traj = dense(scene, q, [v, 0, 0, 0, v / RADIUS, 0], 0.6, dt)
+    slowing, stop, distance = rolling_stop(v, rho, RADIUS)
+    half = np.searchsorted(traj.t, 0.5 * stop)
+    assert world_motion(traj, half)[0][0] == pytest.approx(v - slowing * traj.t[half], abs=1e-7)
+    assert traj.q[-1, 0] == pytest.approx(distance, abs=slowing * dt**2)
+    assert np.abs(traj.v[traj.t > stop + dt]).max() <= 1e-7
+
+
+@pytest.mark.parametrize(("slope", "holds"), [(0.0195, True), (0.0205, False)])
+def test_slope_in_dense_steps(slope, holds):
+    rho = RADIUS * math.tan(0.02)
+    scene, q = ball(slope=slope, rolling_radius=rho)
+    traj = dense(scene, q, np.zeros(6), 0.5, 0.01)
+    expected = 0.0
+    if not holds:
+        normal, along = GRAVITY * math.cos(slope), GRAVITY * math.sin(slope)
+        expected = 0.5 * (along - rho * normal / RADIUS) / 1.4 * 0.5**2
+    assert traj.q[-1, 0] == pytest.approx(expected, abs=1e-7)
+
+
+def test_sliding_and_spinning_ball_in_dense_steps():
+    """Slip and spin in one ball, whose direction turns: of order 1, since each impulse of a step has its own one."""
+    v, omega, drill = np.array([0.4, 0.1]), np.array([0.0, 2.0, 30.0]), 0.01
+    truth, t, errors = SlidingSpin(v, omega, 0.3, drill, RADIUS), 0.2, []
+    scene, q = ball(spinning_radius=drill)
+    x, v_t, omega_t = truth.state(t)
+    for dt in (0.02, 0.01, 0.005):
+        traj = dense(scene, q, [*v, 0.0, *omega], t, dt)
+        found_v, found_w = world_motion(traj)
+        errors.append(
+            max(np.abs(traj.q[-1, :2] - x).max(), np.abs(found_v[:2] - v_t).max(), np.abs(found_w - omega_t).max())
+        )
+    assert 3.0 < errors[0] / errors[2] < 5.0
+    assert errors[2] <= 1e-2
+
+
+def test_turntable_takes_the_spin_along_in_dense_steps():
+    """What the surface puts in is in the ledger: the balance of energy of a dense step knows its work."""
+    drill, turn = 0.002, 3.0
+    scene, q = ball(spinning_radius=drill)
+    scene.set_surface_velocity("ground", angular=(0.0, 0.0, turn))
+    traj = dense(scene, q, np.zeros(6), 0.8, 0.01)
+    rate, stop, _ = spin_down(turn, 0.3, drill, RADIUS)
+    before = traj.t < stop - 0.01
+    assert traj.v[before, 5] == pytest.approx(rate * traj.t[before], abs=1e-7)
+    assert traj.v[traj.t > stop + 0.01, 5] == pytest.approx(turn, abs=1e-7)
+
+
+def test_impact_of_a_spinning_ball_in_a_dense_step():
+    """A plastic impact inside of a step slows the spin by mu r_s times the normal impulse."""
+    drill, mu, spin, fall = 0.004, 0.3, 40.0, 1.0
+    scene, q = ball(mu, gravity=0.0, spinning_radius=drill)
+    q[2] += 0.01
+    traj = cvi.simulate(scene, q, [0, 0, -fall, 0, 0, spin], 0.02, 0.005, contact_mode="steps")
+    assert traj.v[-1, 5] == pytest.approx(spin - mu * drill * fall / (0.4 * RADIUS**2), abs=1e-6)
+
+
+def pile(seed: int, **radii) -> tuple[cvi.Scene, np.ndarray]:
+    """Balls and boxes that fall on a plane and on each other."""
+    rng, scene = np.random.default_rng(seed), cvi.Scene()
+    scene.add_halfspace(name="ground")
+    q = []
+    for k in range(12):
+        if k % 3 == 2:
+            scene.add_box(f"b{k}", (0.08, 0.08, 0.08))
+        else:
+            scene.add_sphere(f"b{k}", 0.05)
+        turn = rng.normal(size=4)
+        q += [*(0.04 * rng.normal(size=2)), 0.08 + 0.12 * k, *(turn / np.linalg.norm(turn))]
+    scene.set_contact(restitution=0.0, friction=0.6, **radii)
+    return scene, np.array(q)
+
+
+def spread(traj: cvi.Trajectory) -> float:
+    return float(np.hypot(traj.q[-1, 0::7], traj.q[-1, 1::7]).mean())
+
+
+def test_heap_comes_to_rest():
+    """With friction against rolling the balls of a heap stop; without they roll away. The energy only falls."""
+    speeds, spreads = [], []
+    for radii in ({"spinning_radius": 0.01, "rolling_radius": 0.005}, {}):
+        scene, q = pile(3, **radii)
+        traj = cvi.simulate(scene, q, None, 3.0, 0.005, contact_mode="steps")
+        assert traj.status.ok
+        assert traj.ledger.dense_energy_rise.max() <= 1e-6
+        speeds.append(np.abs(traj.v[-1]).max())
+        spreads.append(spread(traj))
+    assert speeds[0] <= 1e-3
+    assert speeds[1] > 0.1
+    assert spreads[0] < spreads[1]
+
+
+def test_auto_goes_over_to_dense_steps_and_back():
+    scene, q = pile(4, spinning_radius=0.01, rolling_radius=0.005)
+    traj = cvi.simulate(scene, q, None, 3.5, 0.005)
+    assert traj.status.ok
+    assert traj.stats.dense_steps > 0
+    assert np.abs(traj.v[-1]).max() <= 1e-3
+
+
+def test_no_derivative_in_dense_steps():
+    scene, q = ball(spinning_radius=0.002)
+    traj = cvi.simulate(scene, q, [0, 0, 0, 0, 0, 3.0], 0.05, 0.01, contact_mode="steps", record="gradient")
+    with pytest.raises(cvi.NotDifferentiable, match="spinning or rolling"):
+        traj.sensitivity()
+
+
 def test_refused():
     scene, q = ball(spinning_radius=0.002)
-    with pytest.raises(cvi.InputError, match="Dense steps"):
-        cvi.simulate(scene, q, np.zeros(6), 0.1, 0.01, contact_mode="steps")
     with pytest.raises(cvi.InputError, match="rolling_radius"):
         scene.set_contact(rolling_radius=-1.0)
     scene.set_contact(impact_process="incremental")
