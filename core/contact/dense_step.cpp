@@ -476,7 +476,8 @@ bool DenseStep::position_impulses() {
 
 // --- velocity impulse ---
 
-// Adhesion acts to the end of the step also where a contact has opened within it: with half of it the energy would rise.
+// Adhesion acts to the end of the step also where a contact has opened within it: with half of it the energy would
+// rise.
 void DenseStep::pull_at_end() {
   const std::vector<DenseContact>& all = contacts();
   lasting_.clear();
