@@ -39,8 +39,20 @@ def shape_data(visual: Visual, index: int, bodies: Mapping[int, int]) -> dict[st
             "vertices": packed(vertices, "f4"),
             "normals": packed(np.rint(32767.0 * normals), "i2"),
             "faces": packed(faces, "u2" if len(vertices) <= 65_536 else "u4"),
+            "closed": is_closed(visual.vertices, visual.faces),
         }
     return data | {"sizes": list(visual.sizes)}
+
+
+def is_closed(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> bool:
+    """Return whether a mesh is a solid whose faces are seen from outside: every side of a face has one in return."""
+    places, same = np.unique(vertices, axis=0, return_inverse=True)
+    corners = same.reshape(-1)[faces.astype(np.int64)]
+    start, end = corners.reshape(-1), corners[:, [1, 2, 0]].reshape(-1)
+    there, back = np.sort(start * len(places) + end), np.sort(end * len(places) + start)
+    a, b, c = (places[corners[:, k]].astype(float) - places.mean(axis=0) for k in range(3))
+    once = bool(np.all(there[1:] != there[:-1]))
+    return once and np.array_equal(there, back) and float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0.0
 
 
 def color_of(visual: Visual, index: int) -> str:

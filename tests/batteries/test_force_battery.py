@@ -124,7 +124,7 @@ def test_violent(name):
     assert not found, [str(f) for f in found]
     if not np.any(traj.work.prescribed):
         assert traj.energy.max() <= traj.energy[0] + 1e-2 * force_laws.energy_scale(traj)
-    assert traj.stats.seconds < force_runner.SLOW * traj.stats.steps
+    assert force_runner.effort(traj.stats) < force_runner.SLOW
 
 
 # --- the long run -----------------------------------------------------------------------------------------------------
