@@ -45,9 +45,9 @@ class Touches:
     def expected(cls, scene: Scene, q: Array, trees: NDArray[np.int64]) -> Touches:
         """Return where a scene will touch, as far as its start tells: between 0 and 1 s, with weights of at most 1.
 
-        They are the nearest points, on both sides, of what hangs on different trees, the nearest pairs above all: a ball over a hand
-        will fall into the hand, not onto itself or to the side. A pair counts 1/e where it is farther apart than the
-        nearest one by the size of an ordinary shape.
+        They are the nearest points, on both sides, of what hangs on different trees, the nearest pairs above all: a
+        ball over a hand will fall into the hand, not onto itself or to the side. A pair counts 1/e where it is farther
+        apart than the nearest one by the size of an ordinary shape.
 
         Args:
             q: the start, (nq,). trees: as of `trees_of`.

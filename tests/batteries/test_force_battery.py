@@ -112,6 +112,7 @@ def test_a_hinged_rod_rests_with_the_least_force(angle):
     assert force.max() < 9.81
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", VIOLENT)
 def test_violent(name):
     """Energy is bounded, constraints and gaps are kept, and steps do not become slow."""

@@ -72,6 +72,7 @@ def wrt_of(scene: cvi.Scene) -> list[str]:
     return names + (["restitution"] if scene.pair_restitution.max(initial=0.0) > 0.0 else [])
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning")
 @pytest.mark.parametrize("name", every(2, SMOOTH))
 def test_constraints_alone(name):
@@ -83,6 +84,7 @@ def test_constraints_alone(name):
     assert transpose_error(traj, wrt_of(start[0])) <= 2e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning", "ignore::contactvi.ApproximateDerivativeWarning")
 @pytest.mark.parametrize("name", every(3, LANDINGS))
 def test_runs_with_contacts(name):

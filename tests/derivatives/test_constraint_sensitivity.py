@@ -97,6 +97,7 @@ def adjoint_error(traj: cvi.Trajectory, *names: str) -> float:
     return transpose_error(traj, ["q0", "v0", "control", "gravity", f"mass:{last}", f"inertia:{last}", *names])
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SMOOTH)
 def test_smooth_runs(name):
     traj, q, v = recorded(SMOOTH[name](), 0.2)
@@ -106,6 +107,7 @@ def test_smooth_runs(name):
     assert adjoint_error(traj) <= 2e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", TOUCHING)
 def test_runs_with_contacts(name):
     start, duration, changes, impacts = TOUCHING[name]
