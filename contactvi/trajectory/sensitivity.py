@@ -320,8 +320,8 @@ def recorded_run(traj: Recorded, compiled: CompiledScene, taken: bool = False) -
         time, pair = limits[0]
         raise NotDifferentiable(
             "A contact sticks although its friction is at its limit", reason="stick", pair=pair, time=time,
-            expected="friction inside of its limit, or slip", got=f"all of its limit, t = {time:.9g} s, {' - '.join(pair)}",
-            remedy="Take a direction, of whose side cvi.directional_derivative is, or on_kink='taken', that of sticking",
+            expected="friction inside of its limit, or slip", got=f"all of it, t = {time:.9g} s, {pair[0]} - {pair[1]}",
+            remedy="Use cvi.directional_derivative, that of one side, or on_kink='taken', that of sticking",
         )  # fmt: skip
     options = traj.options
     settings = {
