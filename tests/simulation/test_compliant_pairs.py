@@ -230,6 +230,7 @@ def derivative_cases() -> dict[str, tuple[cvi.Scene, dict[str, tuple]]]:
 CASES = derivative_cases()
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [2, 4, 8])
 @pytest.mark.parametrize("name", CASES)
 def test_derivatives_are_those_of_differences(name, order):

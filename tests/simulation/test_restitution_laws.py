@@ -136,6 +136,7 @@ LAWS = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("mu", [0.08, 0.7])
 def test_derivatives_of_laws(law: str, mu: float) -> None:
