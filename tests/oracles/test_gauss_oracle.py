@@ -72,6 +72,7 @@ def test_one_stage_is_the_midpoint_step(case):
         assert np.abs(a - b).max() <= 1e-13 * (1 + np.abs(a).max())
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("name", "s"), [*((n, 3) for n in LIE), ("arm_spherical", 5), ("tree", 2)])
 def test_step_is_the_discrete_legendre_transform(name, s):
     """p0 = -D1 L_d, p1 = D2 L_d, L_d stationary in its stages: differences of the discrete action alone."""

@@ -35,6 +35,7 @@ def dropped(law: dict[str, float]) -> tuple[float, float, int]:
     return z, v, sum(t < DURATION for t in times)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("order", STEPS)
 def test_a_ball_that_drops_keeps_the_order(name, order):

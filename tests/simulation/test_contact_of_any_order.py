@@ -124,6 +124,7 @@ def test_what_is_exact(name, order):
         assert held.errors(held.run(count, order), times, exact).max() < ROUNDING
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", MOTIONS)
 def test_order_2(name):
     check_order(MOTIONS[name](), 2, ORDER_2, SLACK_2)

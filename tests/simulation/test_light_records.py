@@ -137,6 +137,7 @@ def test_steps_that_are_read_later_are_those_that_are_read_at_once(name):
     assert late.trajectory().stats.stage_iterations == at_once.trajectory().stats.stage_iterations
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("record", [{}, {"record": False}])
 def test_a_reset_engine_is_a_new_one(name, record):
