@@ -27,7 +27,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     tests: dict[object, list[pytest.Item]] = {}
     for item in items:
-        if item.get_closest_marker("thinned") is not None:
+        if item.get_closest_marker("thinned") is not None and item.get_closest_marker("long") is None:
             tests.setdefault((item.path, item.originalname), []).append(item)
     for same in tests.values():
         values: dict[str, dict[int, int]] = {}  # of each parameter: value -> place

@@ -209,6 +209,7 @@ def test_what_cannot_be_resumed_is_refused(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_the_example_of_a_job_array_runs_as_one(tmp_path):
     """Three tasks as processes of their own, one of them twice, and the join: the bits of one call."""
     program = [sys.executable, str(ROOT / "examples" / "slurm_array.py")]

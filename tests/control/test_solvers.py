@@ -28,6 +28,7 @@ SOLVERS = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("method", SOLVERS)
 def test_scipy_through_the_wall(method):
     problem = at_the_wall()

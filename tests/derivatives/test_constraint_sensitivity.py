@@ -130,6 +130,7 @@ DTEC = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", DTEC)
 def test_runs_with_dtec(name):
     """Its equation over the rest of the step, with the work of what is driven."""
@@ -222,6 +223,7 @@ def test_gradients_are_kept_in_files(tmp_path):
     assert np.array_equal(again.sensitivity().matrix, traj.sensitivity().matrix)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["a linkage strikes a ball, with friction", "a driven arm comes to rest"])
 def test_check_gradient_brings_starts_back(name):
     start, duration, _, _ = TOUCHING[name]

@@ -108,6 +108,7 @@ CASES = [
 ]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("name", "options"), CASES)
 def test_runs_with_laws_of_friction(name: str, options: dict[str, Any]) -> None:
     """Tangent against differences, and the adjoint against the tangent."""

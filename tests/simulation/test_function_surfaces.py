@@ -209,6 +209,7 @@ def test_a_crest_within_a_step_is_met() -> None:
     assert abs(scene.core().gaps(event.q)[0][0]) < 1e-11
 
 
+@pytest.mark.slow
 def test_automatic_steps() -> None:
     """dt="auto" on waves: bounces, then rolls and rests in a hollow."""
     run = cvi.simulate(with_ball(friction=0.5, **WAVES), at([0.3, 0.1, 0.4]), duration=1.0, dt="auto", tol=1e-6)
