@@ -46,11 +46,13 @@ class Recorded(Protocol):
     q: Array
     p: Array
     options: Options
-    scene: Scene
     events: EventLog
     contacts: ContactLog
     segments: Segments | SegmentsApart | None
     inputs: RunInputs | None
+
+    @property
+    def scene(self) -> Scene: ...
 
 
 @dataclass(frozen=True)
