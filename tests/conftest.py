@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import tempfile
@@ -15,6 +16,29 @@ def pytest_configure() -> None:
     """Keep the tests away from the user's cache; processes that test side by side share one."""
     os.environ.setdefault("CONTACTVI_TESTS_CACHE", _CACHE.name)
     os.environ["CONTACTVI_CACHE"] = os.environ["CONTACTVI_TESTS_CACHE"]
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as slow what `thinned(n)` leaves out: all but every n-th of the sets of parameters of a test.
+
+    Of a test with every combination of some parameters they are counted along the sums of their places, as in a Latin
+    square, so that what is kept mixes all values.
+    """
+    tests: dict[object, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("thinned") is not None and item.get_closest_marker("long") is None:
+            tests.setdefault((item.path, item.originalname), []).append(item)
+    for same in tests.values():
+        values: dict[str, dict[int, int]] = {}  # of each parameter: value -> place
+        for item in same:
+            for name, value in item.callspec.params.items():
+                values.setdefault(name, {}).setdefault(id(value), len(values[name]))
+        combined = math.prod(map(len, values.values())) == len(same)
+        for k, item in enumerate(same):
+            place = sum(values[name][id(value)] for name, value in item.callspec.params.items()) if combined else k
+            if place % item.get_closest_marker("thinned").args[0]:
+                item.add_marker(pytest.mark.slow)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

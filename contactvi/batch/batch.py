@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 Keep = Literal["ends", "nodes", "runs"]
 KEEPS = ("ends", "nodes", "runs")
+KEPT_SECONDS = 2.0  # [s] of work of all threads that an interruption loses at most, long beside writing a file
 MOST_BYTES = 2**28  # of the states at all nodes: above, only the ends are kept unless more is asked for
 
 
@@ -189,7 +190,7 @@ def simulate_batch(
     with ExitStack() as stack:
         report = _report(plan.runs, progress, stack)
         dense: list[int] = []
-        made = _maker(executor, number, report, dense)
+        made = _maker(executor, number, report, dense, KEPT_SECONDS if resume else None)
         result: BatchResult | StoredBatch
         if path is None:
             result = BatchResult(plan.keep, joined(list(made(plan, 0))))
@@ -210,12 +211,17 @@ def simulate_batch(
     return result
 
 
-def _maker(executor: Executor | None, number: int, report: Report | None, dense: list[int]) -> Made:
-    """Return what makes the runs of a plan, or of a part of it that starts with a given run."""
+def _maker(
+    executor: Executor | None, number: int, report: Report | None, dense: list[int], seconds: float | None
+) -> Made:
+    """Return what makes the runs of a plan, or of a part of it from a given run on; seconds as of `blocks_of`."""
 
     def made(part: Plan, first: int) -> Iterator[Block]:
         told = report if report is None or not first else lambda count: report(first + count)
-        blocks = blocks_of(part, number, told) if executor is None else blocks_by(executor, part, number, told)
+        if executor is None:
+            blocks = blocks_of(part, number, told, seconds=seconds)
+        else:
+            blocks = blocks_by(executor, part, number, told)
         return _watched(blocks, part, dense)
 
     return made

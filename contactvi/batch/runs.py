@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -25,17 +26,34 @@ from contactvi.trajectory.trajectory import Trajectory
 # long as half of the runs in its lanes; and the results of several blocks are copied into one.
 BLOCK = 1024
 BLOCK_BYTES = 2**26  # of the states of a block, so that blocks of long runs have fewer of them
+_FIRST = 8  # runs for each thread in a block whose runs are to take a given time: as many as the kernel has lanes
 
 
 def blocks_of(
-    plan: Plan, workers: int, report: Report | None = None, scenes: SceneCache | None = None
+    plan: Plan,
+    workers: int,
+    report: Report | None = None,
+    scenes: SceneCache | None = None,
+    seconds: float | None = None,
 ) -> Iterator[Block]:
-    """Yield the results of the runs of a plan in their order; report(runs made) is called now and then."""
+    """Yield the results of the runs of a plan in their order; report(runs made) is called now and then.
+
+    Args:
+        seconds: time that a block is to take [s], by the time that the one before it took; None: blocks as large as
+            memory allows.
+    """
     known = SceneCache(plan.options) if scenes is None else scenes
-    length = runs_of_block(plan)
-    for first in range(0, plan.runs, length):
-        part = plan.part(first, min(first + length, plan.runs))
-        yield block_of(part, workers, known, None if report is None else _after(first, report))
+    most = runs_of_block(plan)
+    length = most if seconds is None else min(most, _FIRST * workers)
+    first = 0
+    while first < plan.runs:
+        part, begun = plan.part(first, min(first + length, plan.runs)), time.perf_counter()
+        block = block_of(part, workers, known, None if report is None else _after(first, report))
+        if seconds is not None:
+            took = max(time.perf_counter() - begun, 1e-6)
+            length = max(workers, min(most, int(part.runs * seconds / took)))
+        first += part.runs
+        yield block
 
 
 def runs_of_block(plan: Plan) -> int:

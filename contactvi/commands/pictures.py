@@ -100,7 +100,10 @@ def render(
     ] = None,
     at: Annotated[float | None, typer.Option(help="Time of a .png in seconds.")] = None,
     camera: CameraOption = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Width and height in pixels.")] = "800x600",
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="WxH", help="Width and height in pixels, by default 640x480 for a .gif, else 800x600."),
+    ] = None,
     fps: Annotated[float, typer.Option(help="Frames per second of the film.")] = 25.0,
     speed: Annotated[float, typer.Option(help="Simulated seconds per second of the film.")] = 1.0,
     start: Annotated[float | None, typer.Option(help="Time at which the film begins, in seconds.")] = None,

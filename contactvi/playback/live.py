@@ -20,6 +20,7 @@ from contactvi.playback.live_server import FrameServer
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.page import bodies_of, body_name, camera_data, fill_page, line_words, title_of, view_data
 from contactvi.playback.shapes import shape_data
+from contactvi.playback.touches import Touches
 from contactvi.playback.visuals import Visual, from_scene
 from contactvi.scene.camera import camera_of, check_followed
 from contactvi.scene.scene import Scene
@@ -163,7 +164,8 @@ class _Page:
         self.writer = FrameWriter(sim, self._joints, forces)
         places = {joint: k for k, joint in enumerate(self._joints)}
         model, frames = self.scene.model, self._expected(sim.q)
-        view = fit(self.visuals, frames, trees_of(model))
+        trees = trees_of(model)
+        view = fit(self.visuals, frames, trees, touches=Touches.expected(self.scene, sim.q, trees))
         facts = ["live", *line_words(self.visuals), f"contactvi {version()}"]
         data = {
             "title": title or title_of(self.scene),

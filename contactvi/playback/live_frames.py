@@ -21,7 +21,7 @@ from contactvi.playback.page import event_data
 from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.events import EventLog
-from contactvi.records.pair_colors import PAIR_COLORS
+from contactvi.records.pair_colors import pair_color
 from contactvi.records.recent import Recent
 from contactvi.scene.scene import Scene
 from contactvi.status import Status
@@ -175,7 +175,7 @@ class FrameWriter:
 
     def _tone(self, pair: tuple[str, str]) -> str:
         """Return the colour of a pair; a new one gets the next."""
-        return self._colors.setdefault(pair, PAIR_COLORS[len(self._colors) % len(PAIR_COLORS)])
+        return self._colors.setdefault(pair, pair_color(len(self._colors)))
 
     def _pair(self, index: int) -> tuple[float, int, int]:
         """Return for a pair the side on which its force is drawn, and the places of its bodies, -1: not drawn."""

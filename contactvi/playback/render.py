@@ -37,7 +37,7 @@ def render(
     path: str | os.PathLike[str],
     *,
     camera: Any = None,
-    size: Any = (800, 600),
+    size: Any = None,
     at: float | None = None,
     fps: float = 25.0,
     speed: float = 1.0,
@@ -55,7 +55,8 @@ def render(
         path: ends with .gif, .mp4 or .png (the picture of one time).
         camera: "auto", "front", ... as of `contactvi.playback.page.write_html`; a .png fits to what there is
             at its time, a film to all of the run.
-        size: width and height [pixels], whole numbers or "800x600"; even ones for an MP4.
+        size: width and height [pixels], whole numbers or "800x600"; even ones for an MP4. None: 640x480 for a GIF,
+            else 800x600.
         at: time of a .png [s].
         fps: frames per second of a film; a GIF shows frames for whole hundredths of a second.
         speed: of a film, simulated seconds per second.
@@ -75,7 +76,8 @@ def render(
     """
     file = check_free(path, overwrite)
     kind = _kind(file, at)
-    width, height = picture_size(size, even=kind == ".mp4")
+    usual = (640, 480) if kind == ".gif" else (800, 600)
+    width, height = picture_size(usual if size is None else size, even=kind == ".mp4")
     fps, speed = positive("fps", fps, "frames per second"), positive("speed", speed, "simulated seconds per second")
     first, last = float(run.t[0]), float(run.t[-1])
     if kind == ".png":
@@ -168,15 +170,18 @@ def _write_gif(out: IO[bytes], frames: _Frames, times: np.ndarray, fps: float) -
     """Write a film with one palette for all frames, so that what stands still does not flicker and takes no space."""
     from PIL import Image
 
-    chosen = times[np.unique(np.linspace(0, len(times) - 1, _SAMPLES).astype(int))]
-    drawn = frames.draw(np.concatenate([chosen, times]))
-    palette = _sheet([next(drawn).reduce(2) for _ in chosen]).quantize(_COLORS, kmeans=1)
-    first, *others = (frame.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE) for frame in drawn)
+    rows = np.unique(np.linspace(0, len(times) - 1, _SAMPLES).astype(int)).tolist()
+    others = np.delete(times, rows)
+    drawn = frames.draw(np.concatenate([times[rows], others]))
+    chosen = {row: next(drawn) for row in rows}
+    palette = _sheet([frame.reduce(2) for frame in chosen.values()]).quantize(_COLORS, kmeans=1)
+    shown = (chosen.pop(row) if row in chosen else next(drawn) for row in range(len(times)))
+    first, *later = (picture.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE) for picture in shown)
     ends = np.rint(np.arange(len(times) + 1) * 100.0 / fps).astype(int)  # [1/100 s]
     durations = np.maximum(10 * np.diff(ends), 20)  # shorter ones are shown slowly by most browsers
     durations[-1] += 600  # [ms] before it begins again
     first.save(
-        out, "GIF", save_all=True, append_images=others, duration=durations.tolist(), loop=0, optimize=True
+        out, "GIF", save_all=True, append_images=later, duration=durations.tolist(), loop=0, optimize=True
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ _MESH_COLOR = (0.74, 0.77, 0.80)
 # Colour-blind safe tones (Okabe, Ito), for plain shapes whose model names no colour.
 _PALETTE = (0x5B8DB8, 0xE69F00, 0x2F9E83, 0xC77CA3, 0x56B4E9, 0xD98232, 0x8C8F94)
 _CREASE = np.cos(np.radians(35.0))  # faces that meet at a sharper angle keep their edge
+_ROUNDED = 1e-5  # of the size of a mesh: files have six digits
 _DARKEST, _BRIGHTEST = 0.42, 0.88  # of a colour's lightest part: on black no shading is seen, on white no outline
 
 
@@ -39,8 +40,25 @@ def shape_data(visual: Visual, index: int, bodies: Mapping[int, int]) -> dict[st
             "vertices": packed(vertices, "f4"),
             "normals": packed(np.rint(32767.0 * normals), "i2"),
             "faces": packed(faces, "u2" if len(vertices) <= 65_536 else "u4"),
+            "closed": is_closed(visual.vertices, visual.faces),
         }
     return data | {"sizes": list(visual.sizes)}
+
+
+def is_closed(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> bool:
+    """Return whether a mesh is a solid whose faces are seen from outside: every side of a face has one in return.
+
+    Vertices of one place count as one, to a part of the size of the mesh that files round away.
+    """
+    points = vertices.astype(float)
+    points -= points.mean(axis=0)
+    places, same = np.unique(np.rint(points / (_ROUNDED * np.ptp(points))), axis=0, return_inverse=True)
+    corners = same.reshape(-1)[faces.astype(np.int64)]
+    corners = corners[(corners != corners[:, [1, 2, 0]]).all(axis=1)]
+    start, end = corners.reshape(-1), corners[:, [1, 2, 0]].reshape(-1)
+    there, back = np.sort(start * len(places) + end), np.sort(end * len(places) + start)
+    a, b, c = (places[corners[:, k]] for k in range(3))
+    return np.array_equal(there, back) and float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0.0
 
 
 def color_of(visual: Visual, index: int) -> str:

@@ -25,6 +25,7 @@ from contactvi.playback.live_frames import BodyPoses
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.picture_size import picture_size
 from contactvi.playback.shapes import color_of, creased
+from contactvi.playback.touches import Touches
 from contactvi.playback.visuals import Visual, from_scene, thin_out
 from contactvi.scene.camera import Camera, camera_of
 from contactvi.scene.scene import Scene
@@ -46,7 +47,7 @@ _PRESETS = {"front": (1.0, 0.0, 0.0), "side": (0.0, -1.0, 0.0), "top": (0.0, -1e
 
 
 class Sketch:
-    """Draws a scene. The camera stays where the start was seen best, or follows a body as the scene's camera says.
+    """Draws a scene. The camera stays where the start, and what will touch, was seen best, or follows a body.
 
     Args:
         scene: what is drawn. q: the configuration to which the picture is fitted, shape (nq,).
@@ -74,7 +75,8 @@ class Sketch:
             np.array([0.0, 1.0]),
             {j: Poses(np.array([p[:3]] * 2), np.array([p[3:]] * 2)) for j, p in zip(self._joints, poses, strict=True)},
         )
-        view = fit(visuals, frames, trees_of(scene.model))
+        trees = trees_of(scene.model)
+        view = fit(visuals, frames, trees, touches=Touches.expected(scene, q, trees))
         self._eye, self._target = _placed(view, chosen, self.width / self.height)
         self._tile = max(2.0 * view.radius / _TILES, 1e-6)
         self._kept: _Canvas | None = None  # the planes, where neither they nor the camera move

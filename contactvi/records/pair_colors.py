@@ -17,7 +17,7 @@ PAIR_COLORS = (
 def pair_colors(events: EventLog, contacts: ContactLog) -> dict[tuple[str, str], str]:
     """Return the colours #rrggbb of the pairs of shapes that touched, by their names.
 
-    They go by impulse, the strongest pair first; of more than ten pairs some have the same colour.
+    They go by impulse, the strongest pair first; of more than twenty pairs some have the same colour.
     """
     size: dict[int, float] = {}
     for log, impulse in ((contacts, np.abs(contacts.normal_impulse)), (events, np.zeros(len(events)))):
@@ -26,6 +26,12 @@ def pair_colors(events: EventLog, contacts: ContactLog) -> dict[tuple[str, str],
         for pair, total in zip(touching.tolist(), np.bincount(place.reshape(-1), impulse[rows]), strict=True):
             size[pair] = size.get(pair, 0.0) + float(total)
     order = sorted(size, key=lambda pair: (-size[pair], pair))
-    return {
-        events.label(int(GuardKind.CONTACT), pair): PAIR_COLORS[k % len(PAIR_COLORS)] for k, pair in enumerate(order)
-    }
+    return {events.label(int(GuardKind.CONTACT), pair): pair_color(k) for k, pair in enumerate(order)}
+
+
+def pair_color(k: int) -> str:
+    """Return the colour #rrggbb of the k-th pair: ten colours, then the same ones darker, then again."""
+    color = PAIR_COLORS[k % len(PAIR_COLORS)]
+    if k // len(PAIR_COLORS) % 2 == 0:
+        return color
+    return "#" + "".join(f"{int(color[i : i + 2], 16) * 11 // 20:02x}" for i in (1, 3, 5))

@@ -35,7 +35,7 @@ class Words(NamedTuple):
 Column = NDArray[Any] | Words
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Table:
     """Rows of a run.
 
@@ -52,6 +52,10 @@ class Table:
     def __len__(self) -> int:
         first = next(iter(self.columns.values()))
         return len(first.codes if isinstance(first, Words) else first)
+
+    def __repr__(self) -> str:
+        columns = (f"{name} [{self.units[name]}]" if name in self.units else name for name in self.columns)
+        return f"<Table {self.name!r}: {len(self)} rows, columns {', '.join(columns)}>"
 
     def column(self, name: str) -> NDArray[Any]:
         """Return a column (n,), words spelled out. Raises InputError for a name that the table does not have."""

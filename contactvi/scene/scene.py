@@ -20,9 +20,8 @@ from contactvi.importing.pictures import Picture
 from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
-from contactvi.inputs import flag, mapping, pose, real, vector
+from contactvi.inputs import flag, pose, vector
 from contactvi.keywords import refusing_methods
-from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
 from contactvi.scene.contact_rules import ContactRules
@@ -33,10 +32,7 @@ from contactvi.scene.joints import (
     JointSettings,
     JointTable,
     Servo,
-    dofs_of,
     joint_settings,
-    joint_value,
-    joint_velocity,
     servo_settings,
     with_armature,
     with_one_dof,
@@ -45,13 +41,12 @@ from contactvi.scene.notes import Notes, noted
 from contactvi.scene.pairs import within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
-from contactvi.scene.placing import place_on_ground
 from contactvi.scene.report import scene_report
 from contactvi.scene.scene_contacts import SceneContacts
 from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_shapes import SceneShapes
+from contactvi.scene.scene_states import SceneStates
 from contactvi.scene.selection import Names, PartHandle, Selector
-from contactvi.scene.separation import Separation, separate
 from contactvi.scene.shown import refuse_attribute, scene_html, scene_line, scene_text
 from contactvi.scene.surfaces import FunctionSurface, function_surface, missing_name
 from contactvi.scene.written import save_scene
@@ -62,7 +57,7 @@ _SETTABLE = ("q0", "v0", "settings", "camera", "compiled")
 
 @refusing_methods
 @noted
-class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
+class Scene(SceneShapes, SceneElements, SceneContacts, SceneStates, SceneDynamics):
     """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
 
     Where a method takes a body, a joint or a geometry, it is named by its name, by a handle that an `add_` method
@@ -294,58 +289,6 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         self._built = None
         return found
 
-    def place_on_ground(
-        self, part: Selector | None = None, q: ArrayLike | None = None, ground: Selector | None = None
-    ) -> np.ndarray:
-        """Return a configuration (nq,) with a part on the ground: its base moved along the normal of a halfspace.
-
-        Its lowest point then touches the halfspace to rounding; its base is not turned, and all else stays where it is.
-        `scene.q0 = scene.place_on_ground(robot)` makes it the start of runs.
-
-        Args:
-            part: with a free base; of a part with several, a joint or body of what is to be moved. None: the only one
-                in the scene that is free.
-            q: configuration, shape (nq,); None: the scene's q0, else neutral.
-            ground: the halfspace, fixed to the world, by name or handle; None: the only one that it has pairs with.
-
-        Raises:
-            InputError: the part has no free base; there is no such halfspace, or several.
-        """
-        at = self._state(self.q0 if q is None else q)
-        return place_on_ground(self.built(), self._parts.assembly.root_of_joint, self.names, part, at, ground)
-
-    def separate(
-        self,
-        q: ArrayLike | None = None,
-        limit: float | None = None,
-        fixed: Sequence[Selector] | Selector = (),
-        t: float = 0.0,
-    ) -> Separation:
-        """Return the configuration nearest to q that has no overlaps, with what was moved for it.
-
-        The change is the smallest one in the metric of the mass matrix, within the limits of joints and on the
-        constraints. Free bodies and bases of robots are moved first, with all joints as they are; where that is not
-        enough, or too far, joints move too, and their changes count a hundredfold. Joints beyond a limit come back to
-        it. What touches in the end touches to rounding. `scene.q0 = scene.separate(q).q` makes it the start of runs;
-        simulate(..., start="separate") does so for one run.
-
-        Args:
-            q: configuration, shape (nq,); None: the scene's q0, else neutral.
-            limit: how far a point of a body may be moved [m]. None: 0.01, and no overlap of two bodies may be deeper
-                than a quarter of the smaller one (of the longest edge of its box), because the way out is a guess then.
-            fixed: joints that keep their values, by name, pattern or handle.
-            t: time [s], for constraints that depend on it.
-
-        Raises:
-            SeparationError: nothing within the limit ends the overlaps.
-        """
-        built, time = self.built(), real("t", t)
-        at = self._state(self.q0 if q is None else q)
-        most = None if limit is None else real("limit", limit, 0.0)
-        names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
-        dofs = sorted({dof for name in names for dof in dofs_of(built.model, name)})
-        return separate(built, at, most, dofs, time)
-
     def set_joint(
         self,
         joint: Selector,
@@ -551,102 +494,6 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         """Return the engine's scene (contactvi._core.Scene), built on first use and again after an edit."""
         return self.built().engine
 
-    # --- configurations and velocities --------------------------------------------------------------------------------
-
-    def neutral(self) -> np.ndarray:
-        """Return the neutral configuration, shape (nq,): joints at zero or the nearest limit, free bodies as placed."""
-        return self.built().start.copy()
-
-    def spring_rest(self) -> np.ndarray:
-        """Return the configuration where every spring rests, neutral for joints without one, shape (nq,)."""
-        return self.built().arrays.rest.copy()
-
-    def q_index(self, joint: Selector) -> slice:
-        """Return where a joint's numbers lie in q; the handle of a part with a free base means that base."""
-        found = self._one_joint(joint)
-        return slice(found.idx_q, found.idx_q + found.nq)
-
-    def v_index(self, joint: Selector) -> slice:
-        """Return where a joint's numbers lie in v; handles as in `q_index`."""
-        found = self._one_joint(joint)
-        return slice(found.idx_v, found.idx_v + found.nv)
-
-    @property
-    def named_configurations(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """q (nq,) and v (nv,) of the models' files by name: keyframes of an MJCF, group states of an SRDF.
-
-        Other parts are neutral; the name has the part's prefix.
-        """
-        return self._parts.named_configurations(self.neutral())
-
-    def configuration(self, values: Mapping[Any, Any], base: np.ndarray | str | None = None) -> np.ndarray:
-        """Return `base` with the values of some joints, shape (nq,).
-
-        base: (nq,), the name of one of `named_configurations`, or None, neutral.
-
-        Keys: joint names, patterns, handles (a part with a free base: that base; else its joints). Values: rad or m;
-        free body: xyz, (xyz, rpy), xyz + quaternion xyzw or pin.SE3; spherical: quaternion xyzw; planar: x, y, angle;
-        translation: x, y, z.
-        """
-        model = self.model
-        if isinstance(base, str):
-            base = self._named(base)
-        q = self.neutral() if base is None else vector("base", base, model.nq)
-        for selector, value in mapping("values", values, "joint: value").items():
-            for name in self.names.select_placed(selector):
-                q[self.q_index(name)] = joint_value(model, name, value)
-        return q
-
-    def velocity(
-        self, values: Mapping[Any, Any], q: np.ndarray | None = None, base: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Return `base` (nv,) (zero when None) with the velocities of some joints, Pinocchio coordinates.
-
-        Values: rad/s or m/s; free body: linear or (linear, angular) in world axes at configuration q; else 3 numbers.
-        """
-        model = self.model
-        q = self.neutral() if q is None else vector("q", q, model.nq)
-        v = np.zeros(model.nv) if base is None else vector("base", base, model.nv)
-        for selector, value in mapping("values", values, "joint: velocity").items():
-            for name in self.names.select_placed(selector):
-                v[self.v_index(name)] = joint_velocity(model, name, value, q)
-        return v
-
-    def assemble(self, q: Any = None, fixed: Sequence[Selector] | Selector = (), t: float = 0.0) -> np.ndarray:
-        """Return the configuration (nq,) near q (nq,) that satisfies the constraints at t [s].
-
-        Args:
-            q: where to begin, by default neutral.
-            fixed: joints that keep their values. Limits of joints are kept too.
-
-        Raises:
-            ConstraintError: there is none near q; the error names the constraints that remain violated.
-        """
-        built, start, time = self.built(), self._state(q), real("t", t)
-        names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
-        dofs = {dof for name in names for dof in dofs_of(built.model, name)}
-        rows = built.elements.constraints
-        if not rows:
-            return start
-        return closure.assemble(built.engine, built.model, rows, start, sorted(dofs), time)
-
-    def consistent_velocity(self, q: Any = None, v: Any = None, t: float = 0.0) -> np.ndarray:
-        """Return the velocity (nv,) nearest to v (in the metric of the mass) that satisfies the constraints at q.
-
-        Args:
-            q: (nq,), by default neutral.
-            v: (nv,), by default rest.
-            t: [s].
-
-        Raises:
-            ConstraintError: there is none, because constraints need different speeds.
-        """
-        built, start, time = self.built(), self._state(q), real("t", t)
-        velocity = np.zeros(built.model.nv) if v is None else vector("v", v, built.model.nv)
-        if not built.elements.constraints:
-            return velocity
-        return closure.consistent_velocity(built.engine, built.elements.constraints, start, velocity, time)
-
     # --- parameters by the names of derivatives -----------------------------------------------------------------------
 
     def parameter(self, name: str) -> np.ndarray:
@@ -774,26 +621,6 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneDynamics):
         self._joints.update({name: joint_settings(model, name, **values) for name in names})
         self._built = None
 
-    def _one_joint(self, selector: Selector) -> pin.JointModel:
-        model = self._parts.assembly.model
-        return model.joints[model.getJointId(self.names.select_joint(selector))]
-
-    def _named(self, name: str) -> np.ndarray:
-        known = self.named_configurations
-        if name not in known:
-            raise InputError(
-                "Unknown configuration",
-                name="base",
-                expected=" | ".join(map(repr, known)) or "an array: the files name none",
-                got=repr(name),
-                remedy=did_you_mean(name, list(known)),
-            )
-        return known[name][0]
-
-    def _state(self, q: Any) -> np.ndarray:
-        built = self.built()
-        return built.start.copy() if q is None else built.states.configuration(q, "q")
-
 
 def _restored(
     kind: type[Scene],
@@ -806,7 +633,3 @@ def _restored(
     scene = kind.from_dict(data)
     scene.restore(elements, goals, surfaces)
     return scene
-
-
-def _several(fixed: Sequence[Selector] | Selector) -> Sequence[Selector]:
-    return (fixed,) if isinstance(fixed, str) or not isinstance(fixed, Sequence) else fixed

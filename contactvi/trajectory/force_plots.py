@@ -58,16 +58,14 @@ def force_figure(traj: Trajectory, by: str) -> RunFigure:
 
 def _draw_pairs(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> None:
     index = log.array("index")
-    size = np.bincount(index, log.normal_impulse) if len(log) else np.zeros(0)
-    touching = np.unique(index)
-    drawn = touching[np.argsort(-size[touching], kind="stable")][:_MOST]
+    touching = {log.label(int(GuardKind.CONTACT), pair): pair for pair in np.unique(index).tolist()}
     ratio = friction_ratio(traj.scene, log)
     drawn_values: tuple[list[Array], list[Array]] = [], []
     colors = pair_colors(traj.events, traj.contacts)
+    drawn = [pair for pair in colors if pair in touching][:_MOST]
     for pair in drawn:
-        rows = np.flatnonzero(index == pair)
-        label = log.label(int(GuardKind.CONTACT), int(pair))
-        name, color = " | ".join(label), colors[label]
+        rows, color = np.flatnonzero(index == touching[pair]), colors[pair]
+        name = " | ".join(pair)
         along = log.normal_impulse[rows, None] * log.array("normal")[rows]
         steps = _summed(log, rows, np.column_stack([log.normal_impulse[rows], log.impulse[rows] - along]))
         force = steps.impulse / steps.h[:, None]

@@ -44,7 +44,10 @@ def _check(traj: object) -> None:
 
 
 def plot(traj: Trajectory) -> Figure:
-    """Return a figure of a run: energy relative to its start, the same with losses put back, gaps of touching pairs.
+    """Return a figure of a run: energy relative to its start, its balance, gaps of touching pairs.
+
+    The balance is the energy with what impacts, friction of contacts and joints, and damping took put back, less the
+    work of inputs and prescribed motions: it is flat but for the error of the steps.
 
     Impacts are lines, where they are many a strip whose colour is their density. The figure belongs to no window
     (matplotlib.figure.Figure): a notebook shows it where it is the last line of a cell, `figure.savefig` writes it.
@@ -148,13 +151,17 @@ def _draw_energy(axis: Axes, traj: Trajectory) -> None:
 
 
 def _draw_error(axis: Axes, traj: Trajectory) -> None:
-    """Draw the energies with the losses of the impacts put back, in bold what the impact map of the run conserves.
+    """Draw the energies less what was put in, with what was taken put back, in bold what the impact map conserves.
 
-    For a system without damping and inputs what remains is the error of the integrator and of the impact map.
+    What remains is the error of the integrator and of the impact map.
     """
-    own, lost = traj.events.method, traj.impact_loss + traj.friction_loss
+    own, lost, name = traj.events.method, traj.impact_loss + traj.friction_loss, "H - H(0) + losses"
+    if traj.forces is not None:
+        work = traj.work
+        lost = lost + work.damping + work.joint_friction - work.input - work.prescribed
+        name += " - work put in" * bool(np.any(work.input) or np.any(work.prescribed))
     curves = [
-        ("ctec", "H - H(0) + losses", traj.energy, _CORRECTED, "-"),
+        ("ctec", name, traj.energy, _CORRECTED, "-"),
         ("mhc", "the same of the modified H", traj.modified_energy, _MODIFIED, (0, (4, 3))),
     ]
     if own == "dtec":  # it has gaps, because where an impact cuts a step DTEC conserves the energy of the two parts
@@ -169,7 +176,8 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
             kept = "kept across the parts of\ncut steps by DTEC"
         label, width = (f"{name},\n{kept}", 1.8) if method == own else (name, 1.0)
         draw_curve(axis, traj.t, change - known[0], label, color=color, lw=width, ls=style, marker=_marker(traj), ms=4)
-    axis.set_ylabel("damping, inputs,\nintegrator [J]")
+    unknown = "" if traj.forces is not None else "damping, inputs,\n"
+    axis.set_ylabel(f"{unknown}error of energy [J]")
     axis.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
     legend(axis)
 

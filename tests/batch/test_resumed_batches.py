@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,24 @@ def test_an_interrupted_batch_goes_on_with_equal_bits(tmp_path, monkeypatch):
     assert not made  # it is complete
 
 
+def test_blocks_that_are_kept_take_about_the_same_time(tmp_path, monkeypatch):
+    """Of runs that take a tenth of a second each: the first block has one for each lane, the others two seconds."""
+    scene, q, v = at_wall()
+    qs, now, made, block_of = starts(q, 57), [0.0], [], runs.block_of
+
+    def timed(plan: Any, *rest: Any) -> Any:
+        made.append(plan.runs)
+        now[0] += 0.1 * plan.runs
+        return block_of(plan, *rest)
+
+    monkeypatch.setattr(runs, "block_of", timed)
+    monkeypatch.setattr(runs, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    batch = cvi.simulate_batch(scene, qs, v, path=tmp_path / "runs", resume=True, workers=1, **SETTINGS)
+    assert made[0] == 8
+    assert made[1:-1] == pytest.approx([20] * len(made[1:-1]), abs=1)
+    assert batch.q.tobytes() == cvi.simulate_batch(scene, qs, v, keep="nodes", **SETTINGS).q.tobytes()
+
+
 def test_another_batch_is_not_taken_for_the_one_that_was_interrupted(tmp_path, monkeypatch):
     scene, q, v = at_wall()
     qs = starts(q, 4)
@@ -190,6 +209,7 @@ def test_what_cannot_be_resumed_is_refused(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_the_example_of_a_job_array_runs_as_one(tmp_path):
     """Three tasks as processes of their own, one of them twice, and the join: the bits of one call."""
     program = [sys.executable, str(ROOT / "examples" / "slurm_array.py")]

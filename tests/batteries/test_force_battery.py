@@ -112,6 +112,7 @@ def test_a_hinged_rod_rests_with_the_least_force(angle):
     assert force.max() < 9.81
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", VIOLENT)
 def test_violent(name):
     """Energy is bounded, constraints and gaps are kept, and steps do not become slow."""
@@ -124,7 +125,7 @@ def test_violent(name):
     assert not found, [str(f) for f in found]
     if not np.any(traj.work.prescribed):
         assert traj.energy.max() <= traj.energy[0] + 1e-2 * force_laws.energy_scale(traj)
-    assert traj.stats.seconds < force_runner.SLOW * traj.stats.steps
+    assert force_runner.effort(traj.stats) < force_runner.SLOW
 
 
 # --- the long run -----------------------------------------------------------------------------------------------------

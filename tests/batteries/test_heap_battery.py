@@ -95,7 +95,8 @@ def test_a_change_that_cuts_a_step_looks_at_what_has_separated(runner, seed, res
     assert not report.found, str(report)
 
 
-@pytest.mark.parametrize(("seed", "restitution"), [(674721, 0.3), (209777, 0.8)])
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize(("seed", "restitution"), [(209777, 0.8), (674721, 0.3)])
 def test_edges_that_become_parallel_in_a_dense_step(runner, seed, restitution):
     """Bricks whose edges cross at a small angle, which passes through zero: the crossing is somewhere else then."""
     report = runner.examine("wall", seed, SHORT_LIMIT, restitution=restitution, friction=0.0, duration=0.37)

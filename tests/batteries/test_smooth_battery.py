@@ -82,6 +82,7 @@ def test_energies(case):
 
 # --- the step -----------------------------------------------------------------------------------------------------
 @every_case
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("kind", ["free", "springs", "damping"])
 def test_step_is_the_oracles_step(case, kind):
     springs, damping = kind != "free", kind == "damping"
@@ -201,6 +202,7 @@ def test_energy_varies_with_h_squared_and_the_modified_energy_with_its_fourth_po
 
 
 @every_case
+@pytest.mark.thinned(3)
 def test_damping_takes_energy(case):
     model, scene, system, q, v, _ = setup(case.name, springs=True, damping=True)
     _, qs, ps = advance(scene, model, q, v, case.h / 4, 400, 40)

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -123,7 +122,20 @@ def test_ctrl_c_keeps_what_was_computed(tmp_path):
     scene = ball_file(tmp_path, duration=1e5)
     environment = {**os.environ, "PYTHONPATH": str(Path(cvi.__file__).parents[1])}
     arguments = ["run", str(scene), "-o", "out", "--no-html", "--no-plot", "--record-every", "1000000"]
-    code = "from contactvi.commands.cli import app; print('ready', flush=True); app()"
+    code = """
+from contactvi.commands.cli import app
+from contactvi.interrupts import CtrlC
+
+check = CtrlC.check
+
+def first(self):
+    CtrlC.check = check
+    print("the run has begun", flush=True)
+    check(self)
+
+CtrlC.check = first
+app()
+"""
     run = subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         cwd=tmp_path,
@@ -135,11 +147,7 @@ def test_ctrl_c_keeps_what_was_computed(tmp_path):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert run.stdout is not None
-    run.stdout.readline()
-    deadline = time.monotonic() + 20
-    while not (tmp_path / "out").is_dir() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(1.0)
+    assert "the run has begun\n" in iter(run.stdout.readline, "")
     run.send_signal(signal.SIGINT)
     _, errors = run.communicate(timeout=30)
     assert run.returncode == ENDED_EARLY, errors

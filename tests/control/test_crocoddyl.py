@@ -218,6 +218,7 @@ def test_fddp_finds_the_optimum_of_another_solver():
     assert other.fun >= solver.cost * (1.0 - 1e-9)
 
 
+@pytest.mark.slow
 def test_box_fddp_keeps_its_bounds():
     problem = pendulum_problem(1.2, 30, goal=np.array([0.5, -0.3, 0.4, 0.2]), solver_bounds=(-1.5, [1.5, 1.0]))
     solver = crocoddyl.SolverBoxFDDP(problem)
@@ -228,6 +229,7 @@ def test_box_fddp_keeps_its_bounds():
     assert np.any(us == -1.5) or np.any(us == [1.5, 1.0])
 
 
+@pytest.mark.slow
 def test_nodes_at_impacts_are_merged():
     """FDDP stops where the impact is at a node; in the merged interval it converges, to a lower cost."""
     problem = pendulum_problem(0.8, 20, goal=np.array([0.5, -0.3, 0.4, 0.2]))

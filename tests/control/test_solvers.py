@@ -28,6 +28,7 @@ SOLVERS = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("method", SOLVERS)
 def test_scipy_through_the_wall(method):
     problem = at_the_wall()
@@ -62,6 +63,7 @@ def reached() -> Constraint:
     return Constraint(lambda t, q, v: (np.r_[q[-1], v[-1]], unit[:, :2], unit[:, 2:]), goal, goal, "goal")
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("method", [*CONSTRAINED, "ipopt"])
 def test_the_goal_as_a_constraint(method):
     """The same state after the impact, demanded exactly, for the least torques: three solvers, one optimum."""

@@ -97,6 +97,7 @@ def test_steps_are_those_of_the_simulator_to_the_bit(order):
     assert np.array_equal(momenta.f()[:2], X[1, :2])
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("state", ["velocity", "momentum"])
 @pytest.mark.parametrize("family", every(2, [*FAMILIES, "arm"]))
 def test_derivatives_against_differences(family, state):

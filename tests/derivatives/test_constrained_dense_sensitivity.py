@@ -72,6 +72,7 @@ def wrt_of(scene: cvi.Scene) -> list[str]:
     return names + (["restitution"] if scene.pair_restitution.max(initial=0.0) > 0.0 else [])
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning")
 @pytest.mark.parametrize("name", every(2, SMOOTH))
 def test_constraints_alone(name):
@@ -83,6 +84,7 @@ def test_constraints_alone(name):
     assert transpose_error(traj, wrt_of(start[0])) <= 2e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.filterwarnings("ignore::contactvi.AccuracyWarning", "ignore::contactvi.ApproximateDerivativeWarning")
 @pytest.mark.parametrize("name", every(3, LANDINGS))
 def test_runs_with_contacts(name):
@@ -124,6 +126,7 @@ def test_a_pinned_and_driven_chain_is_that_of_located_events():
     assert np.abs(steps - events).max() <= 1e-10 * np.abs(events).max()
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", ["a leg with a loop slips", "welded boxes tumble", "a driven finger presses a ball"])
 def test_inputs_friction_and_restitution_are_parameters(name):
     make, duration, dt = LANDINGS[name]
@@ -153,6 +156,7 @@ def test_inputs_friction_and_restitution_are_parameters(name):
     assert np.abs(exact - found[1]).max() <= BAR * scale + own
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("e", "mu", "duration"), DROPS)
 def test_parameters_of_the_scene(e, mu, duration):
     """A linked arm drops on the ground: the impulses depend on inertias through the constraint too.
@@ -175,6 +179,7 @@ def test_parameters_of_the_scene(e, mu, duration):
         assert transpose_error(traj, [*NAMES, "q0", "v0"]) <= 2e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.filterwarnings("ignore::contactvi.DenseStepWarning")
 @pytest.mark.parametrize(("e", "mu"), [(0.0, 0.0), (0.0, 0.1), (0.0, 0.9)])
 def test_steps_whose_start_moves(e, mu):

@@ -51,6 +51,7 @@ def pinned_chain(x: dict) -> cvi.Scene:
     return scene
 
 
+@pytest.mark.slow
 def test_a_pinned_and_driven_chain_in_sixty_digits():
     """All columns, those off the constraints too, of a step that is made with numbers and equations of its own."""
     scene = pinned_chain(CHAIN)

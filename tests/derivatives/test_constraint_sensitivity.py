@@ -97,6 +97,7 @@ def adjoint_error(traj: cvi.Trajectory, *names: str) -> float:
     return transpose_error(traj, ["q0", "v0", "control", "gravity", f"mass:{last}", f"inertia:{last}", *names])
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SMOOTH)
 def test_smooth_runs(name):
     traj, q, v = recorded(SMOOTH[name](), 0.2)
@@ -106,6 +107,7 @@ def test_smooth_runs(name):
     assert adjoint_error(traj) <= 2e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", TOUCHING)
 def test_runs_with_contacts(name):
     start, duration, changes, impacts = TOUCHING[name]
@@ -128,6 +130,7 @@ DTEC = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", DTEC)
 def test_runs_with_dtec(name):
     """Its equation over the rest of the step, with the work of what is driven."""
@@ -220,6 +223,7 @@ def test_gradients_are_kept_in_files(tmp_path):
     assert np.array_equal(again.sensitivity().matrix, traj.sensitivity().matrix)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["a linkage strikes a ball, with friction", "a driven arm comes to rest"])
 def test_check_gradient_brings_starts_back(name):
     start, duration, _, _ = TOUCHING[name]

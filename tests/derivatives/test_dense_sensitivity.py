@@ -128,6 +128,7 @@ def compare(S: cvi.Sensitivity, start: Start, directions: np.ndarray, steps: tup
     assert np.abs(S.matrix[-1] @ directions - fine).max() <= 1e-7 * scale + own
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", RUNS)
 def test_bodies_and_robots(name):
     """All columns of one body, random directions of many."""
@@ -147,6 +148,7 @@ def test_bodies_and_robots(name):
     compare(S, start, directions, (1e-5, 5e-6) if small else (1e-4, 5e-5), options)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.filterwarnings("ignore::contactvi.ApproximateDerivativeWarning")
 @pytest.mark.parametrize("name", RUNS)
 def test_the_gradient_of_a_cost_is_the_transpose(name):

@@ -62,6 +62,7 @@ def compare(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, **options) -> cvi.Tr
     return traj
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("name", "order"),
     every(

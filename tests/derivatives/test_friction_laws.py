@@ -108,6 +108,7 @@ CASES = [
 ]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("name", "options"), CASES)
 def test_runs_with_laws_of_friction(name: str, options: dict[str, Any]) -> None:
     """Tangent against differences, and the adjoint against the tangent."""
@@ -143,6 +144,7 @@ STORED: dict[str, tuple[Callable[[], Start], float]] = {
 TURNING = {"spinning_radius": 0.01, "rolling_radius": 0.005}
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("name", STORED)
 def test_runs_from_files(name: str, order: int, tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ HELD = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [4, 6])
 @pytest.mark.parametrize("name", HELD)
 def test_differences_have_the_steps_of_runs_for_derivatives(name, order):

@@ -57,12 +57,14 @@ def check_beside_constraints(make: Callable[[], scenes.Start], steps: tuple[floa
     assert adjoint_error(traj) <= 2e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [4, 8, 16])
 @pytest.mark.parametrize("name", SMOOTH)
 def test_smooth_runs(name, order):
     check_beside_constraints(SMOOTH[name], (1e-3, 5e-4), duration=0.12, dt=0.02, order=order)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [4, 8])
 @pytest.mark.parametrize("name", IMPACTS)
 def test_impacts(name, order):
@@ -91,6 +93,7 @@ def test_single_steps(name, order):
     assert np.abs(step.dt[scene.nv :] - numbers).max() <= 1e-8 * np.abs(numbers).max()
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [4, 8])
 @pytest.mark.parametrize("name", HELD)
 def test_held_contacts(name, order):
@@ -105,6 +108,7 @@ def test_held_contacts(name, order):
     assert transpose_error(traj, ["q0", "v0", "control", *friction]) <= 2e-12
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("name", "order"), every(3, itertools.product(HELD_BESIDE_CONSTRAINTS, (4, 8))))
 def test_held_contacts_beside_constraints(name, order):
     start, duration, _, _ = TOUCHING[name]

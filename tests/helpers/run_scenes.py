@@ -91,3 +91,14 @@ def funnel() -> cvi.Scene:
         scene.add_sphere(f"ball{k}", radius=radius, mass=mass, placement=place)
     scene.set_contact(restitution=0.3, friction=0.5)
     return scene
+
+
+def heap_of_boxes() -> cvi.Trajectory:
+    """Thirty boxes beside and behind each other: their names would cover each other."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    for k in range(30):
+        x, y = 0.06 * (k % 6), 0.06 * (k // 6)
+        scene.add_box(f"box_number_{k}", (0.05, 0.05, 0.05), mass=1.0, placement=(x, y, 0.025))
+    scene.set_contact(restitution=0.0, friction=0.5)
+    return cvi.simulate(scene, duration=0.02, dt=1e-2)

@@ -116,6 +116,7 @@ def distance(one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
     return float(np.linalg.norm(apart @ x)) / scale
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", FAMILIES)
 def test_all_vertices_stay_and_the_triangles_close(name: str):
     points, _ = FAMILIES[name]
@@ -127,6 +128,7 @@ def test_all_vertices_stay_and_the_triangles_close(name: str):
     assert max(len(hull.neighbors(i)) for i in range(hull.num_points)) <= MOST_NEIGHBOURS
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", FAMILIES)
 def test_gaps_are_right_from_all_sides(name: str):
     points, more = FAMILIES[name]

@@ -119,6 +119,7 @@ def test_oscillator_at_a_wall():
     assert relative(steps, known.derivative) <= 1e-12  # order 12: (omega h)^12 = 3e-5 over 12! / .. is far below
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("theta0", [0.05, 1.0, 2.5])
 def test_pendulum_at_a_stop(theta0):
     """Elliptic integrals against saltation of a chain of one link; small motion: t1 = pi/2 sqrt(l/g), no theta0."""

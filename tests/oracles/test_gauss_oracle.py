@@ -72,6 +72,7 @@ def test_one_stage_is_the_midpoint_step(case):
         assert np.abs(a - b).max() <= 1e-13 * (1 + np.abs(a).max())
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("name", "s"), [*((n, 3) for n in LIE), ("arm_spherical", 5), ("tree", 2)])
 def test_step_is_the_discrete_legendre_transform(name, s):
     """p0 = -D1 L_d, p1 = D2 L_d, L_d stationary in its stages: differences of the discrete action alone."""
@@ -138,6 +139,7 @@ def test_step_is_symplectic(name, s):
 
 
 @by_name("free_body", "pair")
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("s", [2, 5])
 def test_step_keeps_the_momentum_maps(case, s):
     model = case.model()
@@ -239,6 +241,7 @@ def test_problem_b_is_good_to_1e_13():
     assert np.abs(np.array([i[0] for i in run.impacts]) - times).max() <= 5e-15
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("method", gauss_impacts.METHODS)
 def test_problem_b_with_one_stage_has_the_known_orders(method):
     """From h = 0.04 to 0.02 the orders are 1.96 for CTEC and MHC, 2.12 for DTEC."""

@@ -56,6 +56,7 @@ def test_point_with_friction_stays_on_the_sphere():
     assert np.einsum("ni,ni->n", rows[:, :3], rows[:, 3:]) == pytest.approx(0.0, abs=CLOSE)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("friction", "speed"), [(0.3, 1.5), (0.3, 0.4), (0.5, 0.3)])
 def test_rod_loses_what_friction_takes(friction, speed):
     """The energy falls by the work of the friction, which is not part of the equations."""

@@ -89,6 +89,7 @@ def difference(f, split, q, eps=1e-3):
 
 
 @by_name(SMALL)
+@pytest.mark.thinned(3)
 def test_dynamics_are_the_gradient_of_the_lagrangian(case):
     model = case.model()
     system = System(model, **springs_of(model, np.random.default_rng(1)))

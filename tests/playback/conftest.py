@@ -1,4 +1,4 @@
-"""A headless Chromium for the tests of the playback."""
+"""A headless Chromium, and a run of a ball, for the tests of the playback."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import shutil
 from collections.abc import Iterator
 
 import pytest
+
+import contactvi as cvi
+from helpers.run_scenes import ball_scene
 
 # Software rendering: three.js needs WebGL, a test machine has no graphics card. The rest keeps Chromium to itself.
 FLAGS = (
@@ -40,3 +43,10 @@ def browser(tmp_path_factory) -> Iterator:
     driver.set_script_timeout(60)
     yield driver
     driver.quit()
+
+
+@pytest.fixture(scope="session")
+def ball() -> cvi.Trajectory:
+    scene = ball_scene(restitution=0.8)
+    v0 = scene.velocity({"ball": ((0.5, -0.2, 0.0), (0.0, 3.0, 7.0))})
+    return cvi.simulate(scene, None, v0, duration=2.5, dt=1e-2)

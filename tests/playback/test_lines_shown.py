@@ -1,4 +1,4 @@
-"""Springs and strings in the playback: their lines as data, in the page, in files. In a browser: test_browser.py."""
+"""Springs and strings in the playback: their lines as data, in the page, in files. See also test_browser_views.py."""
 
 from __future__ import annotations
 

@@ -18,8 +18,10 @@ import contactvi as cvi
 from contactvi.importing.kinematics import JointChains
 from contactvi.playback import animation, event_list, framing, shapes, visuals
 from contactvi.playback.event_list import KINDS, happenings
+from contactvi.playback.lathe import outline_mesh
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.page import make_html
+from contactvi.playback.shapes import is_closed
 from contactvi.playback.touches import Touches
 from helpers.playback_data import PageEvents, run_data, unpacked
 from helpers.run_scenes import RADIUS, ball_scene, hand_scene
@@ -590,3 +592,13 @@ def test_bodies_that_are_very_far_have_a_page_without_a_warning(tmp_path, place)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         assert traj.to_html(tmp_path / "far.html").stat().st_size > 0
+
+
+def test_closed_meshes_are_told_from_open_ones():
+    """Also where files round the vertices of neighbouring faces apart; faces turned inside out are none of a solid."""
+    points, faces = outline_mesh("box", (0.1, 0.2, 0.3))
+    apart = points.astype(np.float32)[faces.reshape(-1)] + np.random.default_rng(0).uniform(0, 1e-8, (faces.size, 3))
+    corners = np.arange(faces.size, dtype=np.uint32).reshape(-1, 3)
+    assert is_closed(apart.astype(np.float32), corners)
+    assert not is_closed(apart.astype(np.float32), corners[1:])
+    assert not is_closed(apart.astype(np.float32), corners[:, ::-1])

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi.playback.animation import Frames, Poses
 from contactvi.playback.lathe import outline_mesh
+from contactvi.playback.live_frames import BodyPoses
+from contactvi.playback.open_side import trees_of
+from contactvi.playback.sight import covered
 from contactvi.playback.sketch import Sketch
+from contactvi.playback.touches import Touches
+from contactvi.playback.visuals import from_scene
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
 
 EYE, SIZE = (4.0, 0.0, 0.0), (200, 100)
 SCALE = 0.5 * 100 / np.tan(np.radians(15.0))  # [pixels] of 1 m at 1 m: 30 degrees of height
@@ -113,3 +123,34 @@ def test_an_unknown_body_is_not_followed():
     scene = scene_of(ball=(0.0, 0.0, 0.0))
     with pytest.raises(cvi.InputError, match="unknown body"):
         Sketch(scene, scene.neutral(), camera={"follow": "bal"})
+
+
+@pytest.mark.parametrize("where", ["a hand under a ball", "a ball on the ground behind a wall"])
+def test_the_camera_sees_what_will_touch(where):
+    """The nearest points of different bodies are in the middle of the picture, and most of them in sight."""
+    if where.startswith("a hand"):
+        scene = cvi.load_scene(MODELS / "allegro_ball.toml")
+        q = scene.q0
+    else:
+        scene = scene_of(ball=(0.0, 0.0, 0.11))
+        scene.add_halfspace()
+        scene.add_box("wall", (0.1, 1.0, 0.8), free=False, placement=(0.25, 0.0, 0.4))
+        q = scene.neutral()
+    sketch = Sketch(scene, q, size=SIZE)
+    touches = Touches.expected(scene, q, trees_of(scene.model))
+    assert len(touches) >= 2
+    visuals = from_scene(scene)
+    joints = sorted({joint for visual in visuals for joint in visual.joints})
+    poses = dict(zip(joints, BodyPoses(scene.model, joints).at(q), strict=True))
+    frames = Frames(np.zeros(1), {j: Poses(pose[None, :3], pose[None, 3:]) for j, pose in poses.items()})
+    away = sketch._eye - sketch._target
+    hidden = covered(visuals, frames, 0, touches.point, away[None] / np.linalg.norm(away))[0]
+    assert touches.weight[np.isfinite(hidden)].sum() > 0.5 * touches.weight.sum()
+    off = touches.center() - sketch._target
+    aside = np.linalg.norm(off - off @ away / (away @ away) * away)
+    assert aside < 0.5 * np.tan(np.radians(15.0)) * np.linalg.norm(away)
+
+
+def test_a_lone_body_has_nothing_to_touch():
+    scene = scene_of(ball=(0.0, 0.0, 0.0))
+    assert len(Touches.expected(scene, scene.neutral(), trees_of(scene.model))) == 0

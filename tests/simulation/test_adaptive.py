@@ -311,6 +311,7 @@ def test_a_global_reference_with_damping_is_refused():
         cvi.simulate(scene, duration=1.0, dt="auto", impact="mhc", mhc_reference="global")
 
 
+@pytest.mark.slow
 def test_progress_comes_with_many_impacts_too():
     """A ball that bounces for four hours: few steps between impacts, and long enough for reports."""
     scene, q0 = falling_ball(1.0, 0.5)

@@ -169,6 +169,7 @@ def test_no_meeting_is_missed(seed: int) -> None:
             assert gap < 0.02, (one, other, gap)  # what moves between two of the times looked at
 
 
+@pytest.mark.slow
 def test_servos_and_coupled_joints_of_parts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Fingers of a hand with a fixed base: work and energies are those of one run with all."""
     scene = scene_of(limited(hand(), "f0j0", -0.3, 0.45), tmp_path)

@@ -35,6 +35,7 @@ def dropped(law: dict[str, float]) -> tuple[float, float, int]:
     return z, v, sum(t < DURATION for t in times)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("order", STEPS)
 def test_a_ball_that_drops_keeps_the_order(name, order):
@@ -230,6 +231,7 @@ def derivative_cases() -> dict[str, tuple[cvi.Scene, dict[str, tuple]]]:
 CASES = derivative_cases()
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [2, 4, 8])
 @pytest.mark.parametrize("name", CASES)
 def test_derivatives_are_those_of_differences(name, order):

@@ -174,6 +174,7 @@ def free_ring() -> cvi.Scene:
     return scene
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("order", "dt"), [(4, 0.005), (8, 0.01), (16, 0.02)])
 @pytest.mark.parametrize("make", [free_chain, free_ring])
 def test_momentum_of_a_free_linkage(make, order, dt):

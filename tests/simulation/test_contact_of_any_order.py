@@ -125,11 +125,13 @@ def test_what_is_exact(name, order):
         assert held.errors(held.run(count, order), times, exact).max() < ROUNDING
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", MOTIONS)
 def test_order_2(name):
     check_order(MOTIONS[name](), 2, ORDER_2, SLACK_2)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("order", [4, 8, 16])
 @pytest.mark.parametrize("name", MOTIONS)
 def test_order(name, order):
@@ -190,6 +192,7 @@ def test_a_box_at_rest_stays(order):
     assert np.abs(rows[:, 1:]).max() < 1e-12
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8])
 @pytest.mark.parametrize("name", [*MOTIONS, *AUTO])
 def test_auto_meets_the_accuracy(name, tol):

@@ -188,6 +188,7 @@ def test_a_ball_that_rolls(order: int, dt: float, bound: float) -> None:
     np.testing.assert_allclose(turn @ run.v[-1, :3], speeds[-1], atol=20 * bound)
 
 
+@pytest.mark.slow
 def test_a_ball_that_bounces_on_waves() -> None:
     """Instants of impacts are those of the parabola that meets the offset surface."""
     c, v = np.array([0.3, 0.2, 0.5]), np.array([0.4, -0.2, 0.0])
@@ -208,6 +209,7 @@ def test_a_crest_within_a_step_is_met() -> None:
     assert abs(scene.core().gaps(event.q)[0][0]) < 1e-11
 
 
+@pytest.mark.slow
 def test_automatic_steps() -> None:
     """dt="auto" on waves: bounces, then rolls and rests in a hollow."""
     run = cvi.simulate(with_ball(friction=0.5, **WAVES), at([0.3, 0.1, 0.4]), duration=1.0, dt="auto", tol=1e-6)
@@ -311,6 +313,7 @@ def test_threads_of_a_batch_call_it() -> None:
 # --- shapes ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_capsules_touch_by_both_ends_and_hulls_by_vertices() -> None:
     scene = cvi.Scene()
     scene.add_surface("ground", **WAVES)

@@ -100,6 +100,7 @@ def largest_kinetic(traj: cvi.Trajectory) -> float:
 
 @everywhere
 @maps
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
 def test_laws_of_an_impact(name, impact, e):
     if impact == "dtec" and e == 0.0:

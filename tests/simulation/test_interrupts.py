@@ -68,6 +68,7 @@ def run(dt: Any, control: Any) -> cvi.Trajectory:
 SCENE = ball()
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(
     ("dt", "control"), [(DT, None), (DT, lambda t, q, v: np.zeros(6)), ("auto", None)], ids=["run", "control", "auto"]
 )

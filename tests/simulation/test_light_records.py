@@ -106,6 +106,7 @@ def assert_equal(one: cvi.Trajectory, other: cvi.Trajectory) -> None:
     assert all(np.array_equal(phases[0][name], phases[1][name]) for name in ("t", "dt", "persistent"))
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_motion_has_equal_bits_with_every_record(name):
     sims = [made(name, **record) for record in ({}, {"record": False}, {"record": 7}, {"record": 100_000})]
@@ -122,6 +123,7 @@ def test_the_motion_has_equal_bits_with_every_record(name):
     assert_equal(sims[3].trajectory(), sims[0].trajectory())
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SCENES)
 def test_steps_that_are_read_later_are_those_that_are_read_at_once(name):
     """The engine keeps steps until they are asked for: how often that is changes nothing, nor does a call of `run`."""
@@ -137,6 +139,7 @@ def test_steps_that_are_read_later_are_those_that_are_read_at_once(name):
     assert late.trajectory().stats.stage_iterations == at_once.trajectory().stats.stage_iterations
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("record", [{}, {"record": False}])
 def test_a_reset_engine_is_a_new_one(name, record):

@@ -81,6 +81,7 @@ def test_a_roller_rolls_on_a_parallel_one_as_on_a_circle(kind):
     assert abs(traj.q[:k, 1] - 0.05).max() < 1e-9
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("restitution", [0.0, 0.4, 0.8])
 @pytest.mark.parametrize("yaw", [0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize("kind", ["capsule", "cylinder"])

@@ -145,6 +145,7 @@ def test_bytes_hold_the_whole_state(name):
     assert _core.Snapshot(state.scene.core, data).to_bytes() == data
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("instruction_set", ["", "base", "avx2"])
 def test_another_process_goes_on(tmp_path, instruction_set):
     """Also one whose processor has other vectors: the bytes have none of the padding of the lanes."""

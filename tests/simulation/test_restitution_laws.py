@@ -16,6 +16,7 @@ from helpers.corner import MASS, SIZE, Corner, rotation
 from oracles import impact_laws, super_ball
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("law", ["poisson", "newton", "energetic"])
 @pytest.mark.parametrize("process", ["two-phase", "incremental"])
@@ -136,6 +137,7 @@ LAWS = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("mu", [0.08, 0.7])
 def test_derivatives_of_laws(law: str, mu: float) -> None:

@@ -37,6 +37,7 @@ def check_order(run, exact: float | np.ndarray, order: int, steps: tuple[int, ..
         assert error <= max(ORACLE, errors[0] * (steps[0] / n) ** (order - 0.3))
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", ROPES)
 @pytest.mark.parametrize("order", STEPS)
 def test_the_order_holds_where_ropes_go_slack_and_taut(name, order):
@@ -74,6 +75,7 @@ def test_the_order_holds_with_impacts_between_switches(order):
     check_order(run, exact, order, STEPS[order])
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(
     ("kp", "kd", "target", "most"), [(60.0, 3.0, 2.0, 12.0), (400.0, 5.0, -1.5, 15.0), (30.0, 0.0, 1.0, 8.0)]
 )

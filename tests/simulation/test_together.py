@@ -38,6 +38,7 @@ def assert_equal(ours: cvi.Simulator, theirs: cvi.Simulator) -> None:
     assert ours.status.code == theirs.status.code
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("workers", [1, 2, 3])
 @pytest.mark.parametrize("record", ["states", False, 5])
 def test_bits_of_single_runs(workers, record):

@@ -10,6 +10,7 @@ from contactvi.verify import woodpecker
 from oracles import woodpecker as toy
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("options", [{"dt": 2.5e-4, "order": 8}, {"dt": "auto", "tol": 1e-8}])
 def test_a_period_of_the_limit_cycle(tmp_path, options) -> None:
     """From a state on the cycle: the first impact, the period and the state after it are the oracle's."""

@@ -12,10 +12,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.image import imread
 
 import contactvi as cvi
+from contactvi.records.pair_colors import pair_colors
 from contactvi.trajectory import plot_layout
 from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, panels
 from contactvi.trajectory.plots import save_figure
 from helpers.contact_runs import GRAVITY, MASS, MU, STOP, sliding_box
+from helpers.loop_scenes import arm_scene
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +135,35 @@ def test_forces_and_the_friction_cone(box):
     sliding = dots.get_xdata() < STOP - 0.1
     assert dots.get_ydata()[sliding] == pytest.approx(np.ones(sliding.sum()), rel=1e-9)
     assert np.abs(dots.get_ydata()[dots.get_xdata() > STOP + 0.1]).max() < 1e-12
+
+
+def test_a_pair_has_one_colour_in_all_plots():
+    """Light balls that fall from afar have the stronger impacts, heavy ones that lie the stronger forces."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    for k in range(12):
+        mass, height = (1.0 + 0.1 * k, 0.05) if k % 2 else (0.4 + 0.1 * k, 0.5)
+        scene.add_sphere(f"ball {k}", radius=0.05, mass=mass, placement=(0.2 * k, 0, height))
+    traj = cvi.simulate(scene, dt=0.01, duration=0.5)
+    colors = {" | ".join(pair): color for pair, color in pair_colors(traj.events, traj.contacts).items()}
+    assert len(set(colors.values())) == len(colors) == 12
+    lasting = {" | ".join(contact.pair) for contact in traj.contacts.at(0.45)}
+    assert len(lasting) == 6
+    for figure, panel in ((cvi.plot(traj), -1), (cvi.plot_forces(traj), -3), (cvi.plot_forces(traj), -2)):
+        drawn = {line.get_label(): line.get_color() for line in figure.axes[panel].lines if "|" in line.get_label()}
+        shown = list(colors) if panel == -1 else [pair for pair in colors if pair in lasting]
+        assert drawn == {pair: colors[pair] for pair in shown[:6]}
+
+
+def test_the_balance_is_flat_with_damping_friction_and_a_motor():
+    """Their work is put back, so that only the error of the steps is left: a thousandth of what they took."""
+    scene = arm_scene(2)
+    scene.set_joint("j*", friction=0.3, damping=0.1)
+    traj = cvi.simulate(scene, dt=0.002, duration=1.0, control=np.full((500, 2), 0.2))
+    (curve, *_) = cvi.plot(traj).axes[-1].lines
+    assert "work put in" in curve.get_label()
+    assert traj.work.joint_friction[-1] > 0.3
+    assert np.ptp(curve.get_ydata()) < 1e-3 * traj.work.joint_friction[-1]
 
 
 def test_forces_on_bodies(box):

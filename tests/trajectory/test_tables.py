@@ -131,6 +131,11 @@ def test_contacts(run):
     assert sliding["friction_ratio"].to_numpy() == pytest.approx(np.ones(len(sliding)), rel=1e-8)
 
 
+def test_a_table_says_what_it_has():
+    table = Table("runs", {"t": np.arange(3.0), "impacts": np.arange(3)}, {"t": "s"})
+    assert repr(table) == "<Table 'runs': 3 rows, columns t [s], impacts>"
+
+
 def test_events_and_changes(run):
     frame = run.to_pandas("events")
     assert len(frame) == len(run.events) > 3

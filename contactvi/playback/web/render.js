@@ -9,6 +9,12 @@ async function draw() {
   Object.assign(stage.pane.style, {width: job.width + "px", height: job.height + "px"});
   stage.renderer.domElement.style.visibility = "hidden";  // so that the browser does not draw it, too
   stage.renderer.setPixelRatio(job.ratio);
+  if (job.times.length > 1) {  // of a film: a processor without graphics draws soft shadows for half of the time
+    stage.renderer.shadowMap.type = THREE.BasicShadowMap;
+    stage.sun.shadow.mapSize.set(1024, 1024);
+    stage.sun.shadow.dispose();
+    stage.sun.shadow.map = null;
+  }
   if (job.transparent) { stage.renderer.setClearColor(BACKGROUND, 0); }
   player.pause();
   player.speed = job.speed;

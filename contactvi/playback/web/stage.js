@@ -71,12 +71,14 @@ class Stage {
   }
 
   material(shape, marked) {
-    const key = [shape.color, shape.opacity, marked, shape.shape === "mesh"].join();
+    const open = shape.shape === "mesh" && !shape.closed;  // seen from inside, too
+    const key = [shape.color, shape.opacity, marked, shape.shape === "mesh", open].join();
     if (!this.materials.has(key)) {
       const clear = shape.opacity < 1, color = new THREE.Color(shape.color).convertSRGBToLinear();
       const material = new THREE.MeshPhongMaterial({color, shininess: 30, specular: 0x1c1c1c, opacity: shape.opacity,
         transparent: clear, depthWrite: !clear, vertexColors: marked,
-        side: shape.shape === "mesh" && !clear ? THREE.DoubleSide : THREE.FrontSide});
+        side: open && !clear ? THREE.DoubleSide : THREE.FrontSide,
+        shadowSide: shape.shape === "mesh" && !clear ? THREE.DoubleSide : null});
       material.onBeforeCompile = withOutline;
       this.materials.set(key, material);
     }

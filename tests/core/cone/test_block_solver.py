@@ -92,6 +92,7 @@ def one_answer(kind: str, seed: int) -> tuple[BlockProblem, np.ndarray]:
     return p, answers[0]
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("kind", "seed"), every(3, COMPARED))
 def test_the_answer_of_the_oracle(kind, seed):
     """Where projected Gauss-Seidel finds one velocity from two starts, the engine finds it too."""
@@ -171,6 +172,7 @@ def test_one_sphere_sticks_slips_opens():
         np.testing.assert_allclose(solved(one(v))["v"][:3], after, atol=1e-15)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("index", range(15))
 def test_problems_of_heaps(index):
     """Problems of towers, walls, funnels and piles of spheres, plainly and with unequal masses."""

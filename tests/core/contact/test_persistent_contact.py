@@ -247,6 +247,7 @@ def test_ball_leaves_a_ball(mu):
 
 
 # --- order and energy -------------------------------------------------------------------------------------------------
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", STEPS)
 def test_contact_step_is_of_order_two(name):
     scene, q0, v0 = STEPS[name]()

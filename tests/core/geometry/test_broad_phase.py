@@ -106,6 +106,7 @@ def placed(scene: cvi.Scene, rng: np.random.Generator, room: float) -> np.ndarra
     return q
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("bodies", [7, 12])  # few pairs, which are looked at one by one, and many
 @pytest.mark.parametrize("spans", [False, True])
 @pytest.mark.parametrize("seed", range(6))

@@ -134,6 +134,7 @@ def place_two(two: Two, kinds: tuple[str, str], rng: np.random.Generator, gap: f
 # ---- all pairs of shapes ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
 def test_second_derivative_of_free_bodies(kinds):
     two = Two(SHAPES[kinds[0]](), SHAPES[kinds[1]]())
@@ -215,6 +216,7 @@ def carried(t: np.ndarray, n0: np.ndarray, n1: np.ndarray) -> np.ndarray:
     return t - t @ n1 / (1.0 + n0 @ n1) * (n0 + n1)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
 def test_rows_normal_and_points(kinds):
     two = Two(SHAPES[kinds[0]](), SHAPES[kinds[1]]())

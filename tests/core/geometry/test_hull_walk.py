@@ -121,6 +121,7 @@ def touching_hulls(count: int) -> list[tuple[Two, np.ndarray, np.ndarray, list[i
     return found
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("count", [12, 300])
 def test_what_is_said_to_be_no_deeper_is_not(count):
     """The distance asked of coal. The bound allows half of its noise, and coal may be off by the other half."""
@@ -134,6 +135,7 @@ def test_what_is_said_to_be_no_deeper_is_not(count):
     assert known >= 20
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("count", [12, 300])
 def test_features_that_are_far_are_left_out_and_no_others(count):
     """The least gap beside the points that touch, where gaps above some number do not count."""

@@ -83,6 +83,7 @@ def at_a_gap(two: Two, a: pin.SE3, R: np.ndarray, direction: np.ndarray, gap: fl
     return pin.SE3(R, a.translation + far * direction)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("angle", TURNS)
 @pytest.mark.parametrize("other", OTHERS)
 @pytest.mark.parametrize("one", ["cylinder", "box"])

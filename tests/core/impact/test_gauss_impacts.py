@@ -50,6 +50,7 @@ def error_b(method: str, steps: int, order: int) -> float:
 
 # --- order across impacts -------------------------------------------------------------------------------------------
 @maps
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("order", "numbers", "tolerance"),
     [(4, (150, 600), 0.3), (6, (60, 240), 0.8), (8, (30, 90), 0.8), (12, (15, 36), 0.8), (16, (10, 22), 3.0)],
@@ -74,6 +75,7 @@ def test_problem_b_down_to_rounding(method, order, steps):
 
 
 @maps
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("order", "steps"), [(4, 60), (8, 20), (16, 10)])
 @pytest.mark.parametrize("restitution", [1.0, 0.6])
 def test_problem_b_is_the_oracles_run(method, order, steps, restitution):

@@ -138,6 +138,7 @@ def test_problem_b_is_the_oracles(method, restitution, h):
 
 
 @implicit
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("restitution", [1.0, 0.9])
 @pytest.mark.parametrize("build", [map_runs.two_bodies, map_runs.body_at_wall, map_runs.arm_at_wall])
 def test_bodies_and_an_arm_are_the_oracles(method, restitution, build):
@@ -152,6 +153,7 @@ def test_bodies_and_an_arm_are_the_oracles(method, restitution, build):
 
 
 @implicit
+@pytest.mark.thinned(2)
 def test_several_impacts_in_one_step_are_the_oracles(method):
     """A body at 8 m/s with .3 m to move between the walls, h = .05: two impacts in some steps."""
     model, geometry, q, v, *_ = map_runs.body_at_wall(half=0.35)
@@ -164,6 +166,7 @@ def test_several_impacts_in_one_step_are_the_oracles(method):
 
 
 @implicit
+@pytest.mark.thinned(2)
 def test_a_hand_hit_by_a_ball_is_the_oracles(method):
     scene, system, q = map_runs.hand_and_ball()
     result = map_runs.run(scene, q, np.zeros(scene.nv), 0.22, 0.002, method)

@@ -101,6 +101,7 @@ def parts_of(traj: cvi.Trajectory, k: int, cuts: tuple[cvi.Event, ...]) -> list[
 
 
 @cases
+@pytest.mark.thinned(2)
 def test_between_nodes_and_impacts_the_motion_is_the_oracles_step(gravity, restitution, seed):
     """Discrete Euler-Lagrange residual of every part of a step between nodes and impacts, tree by tree.
 

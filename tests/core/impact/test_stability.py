@@ -104,6 +104,7 @@ def run(scene, q, v, duration, h, method, mhc_global, **options):
 
 # --- steps from 1e-5 to 1e-1 ----------------------------------------------------------------------------------------
 @variants
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("h", [1e-1, 3e-2, 1e-2, 1e-3, 1e-4, 1e-5])
 def test_step_sizes(method, mhc_global, h):
     """Problem B up to its second impact: both found, no fallback, the scalar kept, at every step size."""
@@ -252,6 +253,7 @@ def wall_at(x: float):
 
 
 @variants
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("h", [0.04, 0.01, 0.0025])
 def test_grazing(method, mhc_global, h, record_property):
     """Grazing: one event where the tip would pass the wall by more than 1e-10 m, none where it would not."""
@@ -294,6 +296,7 @@ SHIFTS = (0.0, 1e-15, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
 
 
 @variants
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("h", [0.02, 0.001])
 def test_impacts_next_to_a_step_end(method, mhc_global, h):
     """Problem B with the wall moved so that the tip reaches it within 1e-8 s of a node, on either side."""
@@ -332,6 +335,7 @@ def rooms(method, mhc_global, h, restitution, seeds, ends) -> None:
 
 
 @variants
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("restitution", [1.0, 0.7])
 @pytest.mark.parametrize("h", [0.02, 0.005])
 def test_rooms(method, mhc_global, restitution, h):

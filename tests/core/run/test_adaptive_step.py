@@ -243,6 +243,7 @@ def test_a_tolerance_below_rounding_ends(order):
     assert np.abs(runs[0].q - runs[1].q).max() <= 1e-9
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", ["ctec", "mhc"])
 def test_energy_of_problem_b_over_ten_thousand_seconds(method, record_property):
     """Order 16, dt = 0.05 s: 7000 impacts, and H does not drift."""

@@ -95,6 +95,7 @@ def driven_for_ever(name: str, steps: int) -> cvi.Trajectory:
     return cvi.simulate(scene, q0, v0, duration=steps * 2e-3, dt=2e-3)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", ["four_bar", "driven_lift", "nut_on_a_bar", "puppet", "welded_carts"])
 def test_loops_stay_closed(name):
     assert residuals(driven_for_ever(name, 5000)) <= PHI

@@ -51,6 +51,7 @@ def assert_oracles_step(system, scene, q, p, h, tau, order, stiff=0.0):
 
 
 # --- the step against the oracle ----------------------------------------------------------------------------------
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("case", every(2, CASES), ids=lambda c: c.name)
 @pytest.mark.parametrize("kind", ["free", "damped springs"])
 def test_step_is_the_oracles_step(case, kind):
@@ -77,6 +78,7 @@ def test_many_steps_are_the_oracles_steps(case, order):
 
 @pytest.mark.parametrize(("name", "h"), [("free_body", 0.05), ("joint_spherical", 0.02), ("pair", 0.02)])
 @every_order
+@pytest.mark.thinned(3)
 def test_large_rotations_in_one_step(name, h, order):
     """0.4 to 1.7 rad per step: the exponential, its Jacobian and their derivatives far from the identity."""
     s = setup(name)
@@ -86,6 +88,7 @@ def test_large_rotations_in_one_step(name, h, order):
         assert_oracles_step(s.system, s.scene, q, p, h, None, order)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("stiffness", "orders"), [(1e3, (2, 4, 8, 16)), (1e6, (2, 4))])
 @pytest.mark.parametrize("damped", [False, True])
 @pytest.mark.parametrize("name", ["arm_spherical", "joint_helical_x", "joint_planar", "joint_translation", "forest"])
@@ -145,6 +148,7 @@ def test_energies_of_higher_order(name):
 
 # --- laws of the step -----------------------------------------------------------------------------------------------
 @every_case
+@pytest.mark.thinned(3)
 def test_step_is_symplectic(case):
     s = setup(case.name, springs=True)
     for order in ORDERS if case.name != "talos" else (4, 16):
