@@ -144,6 +144,8 @@ class PointKind(enum.IntEnum):
 
     SURFACE = 7
 
+    SOLIDS = 8
+
 class ConstraintKind(enum.Enum):
     """What a constraint holds; core/model/constraints.hpp has the residuals."""
 
@@ -417,6 +419,9 @@ class Scene:
     def set_superellipsoid(self, geometry: int, radii: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], exponent: float, cells: tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(3), order='C')]], reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
         """Makes a halfspace a superellipsoid."""
 
+    def set_thread(self, geometry: int, radius: float, depth: float, pitch: float, cells: tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(3), order='C')]], reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
+        """Makes a halfspace a thread about z."""
+
     def set_spline_solid(self, geometry: int, coefficients: Sequence[float], cells: tuple[bool, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(3), order='C')]], reach: float, lost: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], object]) -> None:
         """
         Makes a halfspace the solid in which a tricubic spline is negative, given by its B-spline coefficients, three more along each axis than cells, the last axis fastest.
@@ -425,6 +430,11 @@ class Scene:
     def feet(self, geometry: int, point: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], reach: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
         """
         Rows (n, 4) of distance [m] and outward normal: the nearest foot of a point (3,) on a surface, and those nearer than reach, in the frame of the surface.
+        """
+
+    def common_normals(self, first: int, second: int, R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], t: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], reach: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
+        """
+        Rows (n, 10) of gap [m], outward normal of the first solid, place on the first and on the second one, each in its own frame: the least common normal, and those with a gap up to reach; the second frame is at R x + t in the first one.
         """
 
     def set_surface_motion(self, geometry: int, linear: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], angular: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], profile: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None) -> None:

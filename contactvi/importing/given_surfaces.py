@@ -18,6 +18,7 @@ SURFACES = (
     "heightfield",
     "torus",
     "superellipsoid",
+    "thread",
     "solid",
 )  # types of stored shapes that are such surfaces
 

@@ -154,6 +154,40 @@ class Superellipsoid(Solid):
 
 
 @dataclass(frozen=True, eq=False)
+class Thread(Solid):
+    """A thread about z: `radius` + `depth` cos(angle - 2 pi z / pitch) from the axis [m] along a length, open there."""
+
+    radius: float
+    depth: float
+    pitch: float
+    length: float
+
+    kind = "thread"
+
+    @property
+    def extent(self) -> Array:
+        across = 1.1 * (self.radius + self.depth)
+        return np.outer([across, across, 0.5 * self.length], [-1.0, 1.0])
+
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        return _cells(self.extent, min(abs(self.pitch) / (2.0 * _ACROSS), self.radius / _ACROSS))
+
+    def values(self, points: Array) -> Array:
+        turn = np.arctan2(points[:, 1], points[:, 0]) - 2.0 * np.pi * points[:, 2] / self.pitch
+        values: Array = np.hypot(points[:, 0], points[:, 1]) - self.radius - self.depth * np.cos(turn)
+        return values
+
+    def put(self, scene: Any, number: int, name: str) -> None:
+        lost = partial(self.lost, name)
+        scene.set_thread(number, self.radius, self.depth, self.pitch, self.engine(), self.reach, lost)
+
+    def to_data(self, name: str) -> dict[str, Any]:
+        sizes = [self.radius, self.depth, self.pitch, self.length]
+        return {"type": "thread", "sizes": sizes, "hollow": self.hollow}
+
+
+@dataclass(frozen=True, eq=False)
 class SampledSolid(Solid):
     """A tricubic spline through samples (nx, ny, nz) of a function at the corners of a grid over a box."""
 
@@ -229,6 +263,19 @@ def superellipsoid(radii: Any, exponent: Any, hollow: bool) -> Superellipsoid:
     return Superellipsoid(hollow, axes, real("exponent", exponent, 2.0, 32.0))
 
 
+def thread(radius: Any, depth: Any, pitch: Any, length: Any, hollow: bool) -> Thread:
+    """Return a thread of checked sizes [m]. Raises InputError."""
+    sizes = [real(name, size, 0.0, open_low=True) for name, size in (("radius", radius), ("depth", depth))]
+    turn = real("pitch", pitch)
+    if sizes[1] >= sizes[0] or turn == 0.0:
+        name, expected = ("pitch", "another number than zero") if turn == 0.0 else ("depth", "less than the radius")
+        raise InputError(
+            "A thread", name=name, expected=expected, got=short([*sizes, turn]),
+            remedy="Give the mean radius, half of the height of the thread, and the height of a turn",
+        )  # fmt: skip
+    return Thread(hollow, sizes[0], sizes[1], turn, real("length", length, 0.0, open_low=True))
+
+
 def sampled_solid(function: Callable[[Array], Any], extent: Array, spacing: float, hollow: bool) -> SampledSolid:
     """Return the spline through values of a function within a box [m], (3, 2), whose cells are about `spacing` long.
 
@@ -275,6 +322,8 @@ def solid_from_data(data: Mapping[str, Any]) -> Solid:
     hollow = bool(data["hollow"])
     if data["type"] == "solid":
         return SampledSolid(hollow, np.array(data["extent"], dtype=float), np.array(data["samples"], dtype=float))
+    if data["type"] == "thread":
+        return Thread(hollow, *(float(x) for x in data["sizes"]))
     *radii, last = (float(x) for x in data["sizes"])
     return Torus(hollow, radii[0], last) if data["type"] == "torus" else Superellipsoid(hollow, np.array(radii), last)
 

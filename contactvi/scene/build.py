@@ -176,7 +176,7 @@ def build(
     soft = contact.compliance.mask(names)
     chosen, removed, overlaps, compliant = choose_pairs(assembly, parts.parts, disabled, enabled, tested, soft)
     surfaces = parts.surfaces
-    refuse_untouchable(chosen, compliant, list(collision.geometryObjects), set(surfaces))
+    refuse_untouchable(chosen, compliant, list(collision.geometryObjects), surfaces)
     resolved = resolve(elements, model, start)
     mu = contact.friction.values(names, compliant)
     resolved.compliances = compliance_rows(contact.compliance, names, compliant, mu)

@@ -26,7 +26,7 @@ _SECTIONS = {  # method -> section
     "add_joint_equality": "equality",
     "prescribe": "prescribe",
 }
-_SOLIDS = ("add_torus", "add_superellipsoid", "add_solid")
+_SOLIDS = ("add_torus", "add_superellipsoid", "add_thread", "add_solid")
 _OTHERS = (  # methods that are noted, too
     "set_contact", "disable_pair", "enable_pair", "disable_overlapping", "remove", "add_surface", "add_potential",
     "add_force", "set_surface", "add_model", *_SOLIDS,

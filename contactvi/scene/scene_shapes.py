@@ -21,7 +21,7 @@ from contactvi.importing.given_surfaces import GivenSurface, with_surface
 from contactvi.importing.height_fields import MOST_PRISMS, count_prisms, height_field, prisms
 from contactvi.importing.mesh_bodies import MeshSource, mesh_inertia, mesh_shapes, mesh_source, solid_inertia
 from contactvi.importing.part import Part, check_body_name, shape_part
-from contactvi.importing.solids import Solid, deviation, sampled_solid, superellipsoid, torus
+from contactvi.importing.solids import Solid, deviation, sampled_solid, superellipsoid, thread, torus
 from contactvi.inputs import array, flag, pose, real
 from contactvi.keywords import refusing_methods
 from contactvi.scene.notes import noted
@@ -264,8 +264,8 @@ class SceneShapes(ABC):
         """Add a torus about z: the radius of the ring of the tube's axis, and the tube's, which is smaller [m].
 
         Balls, capsules (by their ends), boxes and hulls (by their vertices) touch it, exactly, wherever it is nearest:
-        a ball in as many points as it has nearest ones. `hollow`: the solid is all around the torus, a channel, fixed
-        to the world (free=False). The rest as in add_sphere.
+        a ball in as many points as it has nearest ones. So do other solids, ellipsoids and halfspaces. `hollow`: the
+        solid is all around the torus, a channel, fixed to the world (free=False). The rest as in add_sphere.
         """
         solid = torus(ring, tube, flag("hollow", hollow))
         inertia = solid.inertia(real("mass", mass, 0.0, open_low=True))
@@ -290,6 +290,28 @@ class SceneShapes(ABC):
         solid = superellipsoid(radii, exponent, flag("hollow", hollow))
         inertia = solid.inertia(real("mass", mass, 0.0, open_low=True))
         return self._add_solid(name, solid, inertia, free, placement, color)
+
+    def add_thread(
+        self,
+        name: str,
+        radius: float,
+        depth: float,
+        pitch: float,
+        length: float,
+        *,
+        hollow: bool = False,
+        inertia: pin.Inertia | None = None,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a screw's thread about z, exactly: radius + depth cos(angle - 2 pi z / pitch) from the axis [m].
+
+        Right-handed, with a negative pitch left-handed. It is looked at along its length alone, and its ends are open.
+        What touches it and `hollow`, the thread of a nut, as in add_torus; `inertia`: None: fixed to the world; else a
+        free body with this inertia about its frame. `placement` and `color` as in add_sphere.
+        """
+        solid = thread(radius, depth, pitch, length, flag("hollow", hollow))
+        return self._add_solid(name, solid, inertia, inertia is not None, placement, color)
 
     def add_solid(
         self,

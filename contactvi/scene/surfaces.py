@@ -24,7 +24,7 @@ from contactvi.errors import InputError, SceneError, UserFunctionError
 from contactvi.importing.given_surfaces import GivenSurface
 from contactvi.importing.height_fields import HeightField
 from contactvi.importing.pictures import Surface
-from contactvi.importing.solids import solid_from_data
+from contactvi.importing.solids import Solid, solid_from_data
 from contactvi.importing.surface_nets import surface_net
 from contactvi.inputs import array, short
 
@@ -37,6 +37,7 @@ _SAMPLES = 5  # along each axis, at which functions are tried when they are give
 _UNIT = 1e-6  # by how much the gradient of a distance may differ from a unit vector, as in the engine
 _AGREE = 1e-5  # of 1 + the gradient: what a given gradient and differences may differ by
 TOUCHING = (coal.Sphere, coal.Capsule, coal.Box, coal.Convex)
+TOUCHING_SOLIDS = (coal.Halfspace, coal.Ellipsoid)
 _VALUES = {"height": 6, "distance": 4}
 
 
@@ -279,14 +280,17 @@ def function_surface(height: Any, distance: Any, gradient: Any, hessian: Any, ex
 
 
 def refuse_untouchable(
-    pairs: NDArray[np.int32], compliant: NDArray[np.int32], objects: list[pin.GeometryObject], surfaces: set[str]
+    pairs: NDArray[np.int32],
+    compliant: NDArray[np.int32],
+    objects: list[pin.GeometryObject],
+    surfaces: Mapping[str, GivenSurface],
 ) -> None:
-    """Raise SceneError where a surface has a pair with a shape without vertices and ends, or a compliant one."""
+    """Raise SceneError where a surface has a pair with a shape that it cannot touch, or a compliant one."""
     if not surfaces:
         return
     for a, b in compliant.tolist():
         names = objects[a].name, objects[b].name
-        if surfaces & set(names):
+        if not surfaces.keys().isdisjoint(names):
             raise SceneError(
                 f"The contact of {names[0]!r} and {names[1]!r} is compliant", body=names[0],
                 expected="rigid contact with a surface given by a function", got="a compliant pair",
@@ -297,11 +301,17 @@ def refuse_untouchable(
         for own, other in ((a, b), (b, a)):
             if objects[own].name not in surfaces or isinstance(objects[other].geometry, TOUCHING):
                 continue
-            kind = "Surface given by a function" if objects[other].name in surfaces else None
+            met = surfaces.get(objects[other].name)
+            if isinstance(surfaces[objects[own].name], Solid) and (
+                isinstance(met, Solid) if met is not None else isinstance(objects[other].geometry, TOUCHING_SOLIDS)
+            ):
+                continue
+            kind = met.kind if met is not None else None
             raise SceneError(
                 f"The surface {objects[own].name!r} and {objects[other].name!r} have no contact",
                 body=objects[other].name,
-                expected="a ball, capsule, box or convex hull on a surface given by a function",
+                expected="a ball, capsule, box or convex hull on a surface given by a function, and two solids, or one "
+                "and a halfspace or an ellipsoid",
                 got=kind or type(objects[other].geometry).__name__,
                 remedy=f"scene.disable_pair({names[0]!r}, {names[1]!r}), or another shape: add_mesh takes hulls",
             )  # fmt: skip

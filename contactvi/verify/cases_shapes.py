@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.optimize import brentq, root
 
+from contactvi.importing.solids import Solid, sampled_solid, superellipsoid, thread
 from contactvi.reproduce.check import Check, near
 from contactvi.scene.scene import Scene
 from contactvi.scene.scene_shapes import SurfaceFunction
+from contactvi.verify import systems
 from contactvi.verify.case import Case, Runs
 
 _GRAVITY = 9.81
-_FIELDS = "a field meets no other field"
+_TURNS = 10  # the last nodes of a run of wheels, in which the small one turns by half of a tooth
 
 
 def _ring(ring: float, tube: float) -> tuple[SurfaceFunction, NDArray[np.float64]]:
@@ -112,10 +116,146 @@ def peg_in_hole(runs: Runs) -> list[Check]:
     ]
 
 
+def _wheel(radius: float, depth: float, teeth: int, half: float) -> Solid:
+    """Return a wheel about z whose teeth are waves of its radius, and which is barrelled: thickest in its middle."""
+
+    def function(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y, z = points.T
+        out = np.hypot(np.hypot(x, y), radius / half * z)
+        square = (x * x + y * y) / radius**2
+        waves = depth * (2.0 * square / (1.0 + square**2)) ** 2 * np.cos(teeth * np.arctan2(y, x))
+        distance: NDArray[np.float64] = out - radius - waves
+        return distance
+
+    across = radius + 2.0 * depth
+    return sampled_solid(function, np.outer([across, across, 1.2 * half], [-1.0, 1.0]), 0.35 * depth, False)
+
+
+def _gap(scene: Scene, large: float, small: float) -> float:
+    """Return the gap of the wheels at their angles."""
+    return float(scene.core().gaps(np.array([small, large]))[0][0])
+
+
+def gears_with_play(runs: Runs) -> list[Check]:
+    """A wheel of 8 teeth drives one of 16: they turn by exactly 1 to 2 in the mean, and hit where the drive reverses.
+
+    Teeth are waves, not involutes, so that the ratio differs within each tooth. After half a turn of the small wheel,
+    and a quarter of the large one, both lie as before, also their samples: there the ratio is that of the teeth.
+    """
+    radius, depth, teeth, play, speed, h = 0.06, 0.007, 8, 1e-3, 2.0 * math.pi, 0.00625
+    wheels = [_wheel(radius, depth, teeth, 0.03), _wheel(2.0 * radius, depth, 2 * teeth, 0.03)]
+
+    def driven(start: float, rate: float) -> Scene:
+        model = systems.empty_model()
+        solids: dict[str, tuple[int, pin.SE3, Solid]] = {}
+        for name, wheel, x in zip(("small", "large"), wheels, (0.0, 3.0 * radius + play), strict=True):
+            joint = model.addJoint(0, pin.JointModelRZ(), systems.place(x), name)
+            model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+            solids[f"wheel_{name}"] = (joint, systems.place(), wheel)
+        scene = systems.of_solids(model, solids)
+        scene.set_joint("large", damping=0.1)
+        scene.set_contact(restitution=0.0, friction=0.0)
+        scene.prescribe("small", lambda t: start + rate * t)
+        return scene
+
+    # A tooth of the small wheel points at a gap of the large one.
+    before = np.array([0.0, math.pi + 0.5 * math.pi / teeth])
+    forward = runs.simulate(driven(0.0, speed), before, [speed, -0.5 * speed], 0.625, h)
+    half = round(0.5 / h)
+    turned = forward.q[-_TURNS:] - forward.q[-_TURNS - half : -half]
+    before = forward.q[-1]
+    back = driven(float(before[0]), -speed)
+    gap = partial(_gap, back, float(before[1]))
+    touching = brentq(gap, before[0] - 1e-3, before[0] - 0.5 * math.pi / teeth, xtol=1e-14)
+    reversed_ = runs.simulate(back, before, [-speed, 0.0], 4.0 * h, h)
+    return [
+        near("turn of the small wheel [rad]", np.full(_TURNS, math.pi), turned[:, 0], 1e-9, "driven"),
+        near(
+            "turn of the large wheel meanwhile [rad]",
+            np.full(_TURNS, -0.5 * math.pi),
+            turned[:, 1],
+            1e-8,
+            "gaps of 1e-9 m",
+        ),
+        near("play until the wheels hit [rad]", before[0] - touching, speed * reversed_.events[0].time, 1e-9, "a root"),
+    ]
+
+
+def nut_on_thread(runs: Runs) -> list[Check]:
+    """A nut with a round tooth goes down a thread by its weight, by the pitch times its turns, or holds itself.
+
+    With k = 2 pi / pitch, the normal n of the flank at the tooth and the tangent (0, cos b, sin b) of the helix there,
+    at the distance s from the axis, the nut is held from mu = -n_phi / cos b on. Below, with the force N of the tooth,
+    m z'' = N (n_z + mu sin b) - m g and I k z'' = N s (n_phi + mu cos b).
+    """
+    radius, depth, pitch, tooth, middle, mass, about = 0.02, 0.004, 0.012, 0.003, 0.022, 0.3, 1e-6
+    k, end = 2.0 * math.pi / pitch, 0.05
+    low, s, (_, n_phi, n_z) = _on_flank(radius, depth, k, middle, tooth)
+    b = math.atan(1.0 / (k * s))
+    limit = -n_phi / math.cos(b)
+    checks = []
+    for what, mu in (("", 0.0), (", half of the friction that holds it", 0.5 * limit), (", held", 2.0 * limit)):
+        model = systems.empty_model(_GRAVITY)
+        slide = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slide")
+        turn = model.addJoint(slide, pin.JointModelRZ(), pin.SE3.Identity(), "turn")
+        model.appendBodyToJoint(turn, pin.Inertia(mass, np.zeros(3), about * np.eye(3)), pin.SE3.Identity())
+        solids: dict[str, tuple[int, pin.SE3, Solid]] = {
+            "bolt": (0, systems.place(), thread(radius, depth, pitch, 0.1, False)),
+            "tooth": (turn, systems.place(middle, 0.0, low), superellipsoid([tooth] * 3, 2.0, False)),
+        }
+        scene = systems.of_solids(model, solids)
+        scene.set_contact(restitution=0.0, friction=mu)
+        traj = runs.simulate(scene, [0.0, 0.0], None, end, 1e-3, start="separate")
+        lift = np.array([n_z + mu * math.sin(b), s * (n_phi + mu * math.cos(b))])
+        matrix = np.array([[mass, -lift[0]], [about * k, -lift[1]]])
+        known = 0.0 if mu > limit else float(np.linalg.solve(matrix, [-mass * _GRAVITY, 0.0])[0])
+        down, turns = traj.q[-1] - traj.q[0]
+        checks += [
+            near(f"way by the turns{what} [m]", turns / k, down, 1e-9, "gaps of 1e-9 m"),
+            near(
+                f"way{what} [m]", 0.5 * known * end**2, down, 2e-6 if mu else 2e-9, "order 2 where it slips and turns"
+            ),
+        ]
+    return checks
+
+
+def _on_flank(
+    radius: float, depth: float, k: float, middle: float, ball: float
+) -> tuple[float, float, NDArray[np.float64]]:
+    """Return how high a ball lies on the flank below it, where it touches from the axis, and the normal there.
+
+    Its middle is at the angle 0, `middle` from the axis of the thread radius + depth cos(angle - k z). The normal is
+    along the axis' radius, around it, and along it.
+    """
+
+    def foot(height: float) -> tuple[float, NDArray[np.float64]]:
+        center = np.array([middle, 0.0, height])
+
+        def place(u: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            angle, turn = u[0], u[0] - u[1]
+            out, slope = radius + depth * math.cos(turn), -depth * math.sin(turn)
+            along, across = np.array([math.cos(angle), math.sin(angle), 0.0]), [-math.sin(angle), math.cos(angle), 0.0]
+            rows = np.array([slope * along + out * np.array(across), -slope * along + [0.0, 0.0, 1.0 / k]])
+            return out * along + [0.0, 0.0, u[1] / k] - center, rows
+
+        # In (angle, k z), from below the middle of the groove, where k z = pi.
+        found = root(lambda u: place(u)[1] @ place(u)[0] / ball, np.array([0.0, math.pi - 1.5]), tol=1e-15)
+        return float(np.linalg.norm(place(found.x)[0])), np.asarray(found.x)
+
+    low = float(brentq(lambda z: foot(z)[0] - ball, (math.pi - 1.0) / k, math.pi / k, xtol=1e-15))
+    angle, z = foot(low)[1] / [1.0, k]
+    out = radius + depth * math.cos(angle - k * z)
+    normal = (np.array([middle, 0.0, low]) - [out * math.cos(angle), out * math.sin(angle), z]) / ball
+    turn = np.array(
+        [[math.cos(angle), math.sin(angle), 0.0], [-math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+    )
+    return low, out, turn @ normal
+
+
 CASES = (
     Case("mug-by-handle", "a mug hangs by its ring on a hook", mug_by_handle),
     Case("three-feet", "a ring with its mass aside rests on three balls", three_feet),
     Case("peg-in-hole", "a peg tilts in a hole with play", peg_in_hole),
-    Case("gears-with-play", "two gears with play turn by their ratio in the mean", None, _FIELDS),
-    Case("nut-on-thread", "a nut moves on its thread by the pitch times its turns", None, _FIELDS),
+    Case("gears-with-play", "two gears with play turn by their ratio in the mean", gears_with_play),
+    Case("nut-on-thread", "a nut moves on its thread by the pitch times its turns", nut_on_thread),
 )

@@ -7,13 +7,15 @@ straight down.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.importing.given_surfaces import GivenSurface, with_surface
+from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.reproduce.systems import problem_b
 from contactvi.scene.scene import Scene
 
@@ -50,6 +52,19 @@ def built(model: pin.Model, shapes: Shapes, pairs: Sequence[tuple[str, str]], e:
         geometry.addCollisionPair(pin.CollisionPair(index[a], index[b]))
     scene = Scene.from_pinocchio(model, geometry)
     scene.set_contact(restitution=e, friction=mu)
+    return scene
+
+
+def of_solids(model: pin.Model, solids: Mapping[str, tuple[int, pin.SE3, GivenSurface]]) -> Scene:
+    """Return the scene of a model whose joints carry solids by name."""
+    shapes = pin.GeometryModel()
+    for name, (joint, where, _) in solids.items():
+        shapes.addGeometryObject(pin.GeometryObject(name, joint, where, halfspace(0.0, 0.0, 1.0)))
+    part = import_pinocchio(model, shapes)
+    for name, (_, _, solid) in solids.items():
+        part = with_surface(part, name, solid)
+    scene = Scene(model.gravity.linear)
+    scene.add_model(part, False)
     return scene
 
 

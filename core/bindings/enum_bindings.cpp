@@ -80,7 +80,8 @@ void expose_contact_enums(nb::module_& m) {
       .value("EDGE", PointKind::kEdge)
       .value("END", PointKind::kEnd)
       .value("RIM_LINE", PointKind::kRimLine)
-      .value("SURFACE", PointKind::kSurface);
+      .value("SURFACE", PointKind::kSurface)
+      .value("SOLIDS", PointKind::kSolids);
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
 // Laws of contact of single pairs: added once, before any simulator is made.
+#include <coal/shape/geometric_shapes.h>
 #include <nanobind/eigen/dense.h>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -23,6 +24,7 @@
 #include "bindings/expose.hpp"
 #include "bindings/user_functions.hpp"
 #include "impact/incremental_impact.hpp"
+#include "model/common_normals.hpp"
 #include "model/function_surface.hpp"
 #include "model/height_field.hpp"
 #include "model/implicit_surface.hpp"
@@ -176,12 +178,29 @@ using Corner = Eigen::Vector3d;
 // grid and its cells along each axis.
 using Cells = std::tuple<bool, Corner, Corner, Eigen::Vector3i>;
 
+// An ellipsoid that meets a solid has a level set, too.
+void make_solid(Geometry& g, const FunctionSurface::Lost& lost) {
+  if (g.solid || g.sharp->getNodeType() != coal::GEOM_ELLIPSOID) return;
+  const Vec3 radii = static_cast<const coal::Ellipsoid&>(*g.sharp).radii, half = 1.1 * radii;
+  const Eigen::Vector3i cells = (half / (0.125 * radii.minCoeff())).array().ceil().cast<int>();
+  g.solid =
+      std::make_shared<ImplicitSurface>(superellipsoid(radii, 2.0), false, BoxTree::Box(-half, half), cells, lost);
+}
+
 void put_level_set(Scene& s, int geometry, std::unique_ptr<const LevelSet> level, const Cells& cells, double reach,
                    const OfPoint& tell) {
   const auto& [hollow, low, high, counts] = cells;
-  put_surface(
-      s, geometry, reach,
-      std::make_shared<ImplicitSurface>(std::move(level), hollow, BoxTree::Box(low, high), counts, lost_of(s, tell)));
+  const BoxTree::Box box(low, high);
+  const auto solid = std::make_shared<ImplicitSurface>(std::move(level), hollow, box, counts, lost_of(s, tell));
+  put_surface(s, geometry, reach, solid);
+  Geometry& g = s.geometries[static_cast<std::size_t>(geometry)];
+  g.solid = solid;
+  g.reaches = !hollow;
+  g.radius = 0.5 * box.sizes().norm();
+  g.center_B = g.p_BG + g.R_BG * box.center();
+  for (const Pair& pair : s.pairs)
+    for (const auto& [one, other] : {std::pair(pair.a, pair.b), std::pair(pair.b, pair.a)})
+      if (one == geometry) make_solid(s.geometries[static_cast<std::size_t>(other)], lost_of(s, tell));
 }
 
 void set_spline_solid(Scene& s, int geometry, std::vector<double> coefficients, const Cells& cells, double reach,
@@ -203,6 +222,22 @@ MatX feet_of(const Scene& s, int geometry, const Corner& point, double reach) {
   for (Eigen::Index k = 0; k < rows.rows(); ++k) {
     const SurfaceFoot& foot = feet[static_cast<std::size_t>(k)];
     rows.row(k) << foot.distance, foot.normal.transpose();
+  }
+  return rows;
+}
+
+// Rows of gap, normal and the places of the common normals of two solids, the second one at R x + t in the frame of the
+// first one: the least one, and those with a gap up to reach.
+MatX common_normals_of(const Scene& s, int first, int second, const Mat3& R, const Vec3& t, double reach) {
+  const auto solid = [&s](int k) { return s.geometries.at(static_cast<std::size_t>(k)).solid.get(); };
+  if (solid(first) == nullptr || solid(second) == nullptr) throw Error("there is no such solid");
+  std::vector<CommonNormal> found;
+  std::vector<int> number;
+  CommonNormals({solid(first), Vec3::UnitZ(), 0.0}, *solid(second), R, t).all({}, reach, found, number);
+  MatX rows(static_cast<Eigen::Index>(found.size()), 10);
+  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
+    const CommonNormal& c = found[static_cast<std::size_t>(k)];
+    rows.row(k) << c.gap, c.normal.transpose(), c.first.transpose(), c.second.transpose();
   }
   return rows;
 }
@@ -255,12 +290,23 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
       [](Scene& s, int geometry, const Corner& radii, double exponent, const Cells& cells, double reach,
          const OfPoint& tell) { put_level_set(s, geometry, superellipsoid(radii, exponent), cells, reach, tell); },
       "geometry"_a, "radii"_a, "exponent"_a, "cells"_a, "reach"_a, "lost"_a, "Makes a halfspace a superellipsoid.");
+  scene.def(
+      "set_thread",
+      [](Scene& s, int geometry, double radius, double depth, double pitch, const Cells& cells, double reach,
+         const OfPoint& tell) { put_level_set(s, geometry, thread(radius, depth, pitch), cells, reach, tell); },
+      "geometry"_a, "radius"_a, "depth"_a, "pitch"_a, "cells"_a, "reach"_a, "lost"_a,
+      "Makes a halfspace a thread about z.");
   scene.def("set_spline_solid", &set_spline_solid, "geometry"_a, "coefficients"_a, "cells"_a, "reach"_a, "lost"_a,
             "Makes a halfspace the solid in which a tricubic spline is negative, given by its B-spline coefficients, "
             "three more along each axis than cells, the last axis fastest.");
   scene.def("feet", &feet_of, "geometry"_a, "point"_a, "reach"_a,
             "Rows (n, 4) of distance [m] and outward normal: the nearest foot of a point (3,) on a surface, and those "
             "nearer than reach, in the frame of the surface.");
+  scene.def(
+      "common_normals", &common_normals_of, "first"_a, "second"_a, "R"_a, "t"_a, "reach"_a,
+      "Rows (n, 10) of gap [m], outward normal of the first solid, place on the first and on the second one, each "
+      "in its own frame: the least common normal, and those with a gap up to reach; the second frame is at R x + "
+      "t in the first one.");
   scene.def(
       "set_surface_motion", &set_surface_motion, "geometry"_a, "linear"_a, "angular"_a, "profile"_a.none(),
       "Lets the surface of a geometry move along itself: linear and angular velocity in its frame, and a factor by "

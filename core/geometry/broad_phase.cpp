@@ -148,7 +148,7 @@ void BroadPhase::look_at_all(const Placements& at) {
     const int a = std::min(scene_->pairs[k].a, scene_->pairs[k].b),
               b = std::max(scene_->pairs[k].a, scene_->pairs[k].b);
     const bool plane_a = scene_->geometries[a].unbounded, plane_b = scene_->geometries[b].unbounded;
-    const bool meet = plane_a   ? !plane_b && may_meet(b, a, at)
+    const bool meet = plane_a   ? plane_b || may_meet(b, a, at)
                       : plane_b ? may_meet(a, b, at)
                                 : !(separation(boxes_[a], boxes_[b]) > 0.0);
     if (meet) near_.push_back({static_cast<int>(k), a, b});
@@ -158,13 +158,13 @@ void BroadPhase::look_at_all(const Placements& at) {
 // Of two geometries that both have new boxes the smaller one finds the pair.
 void BroadPhase::find_partners(int g, const Placements& at) {
   const auto is_first = [&](int other) { return other != g && (is_leaving_[other] == 0 || g < other); };
+  for (int plane : planes_)
+    if (is_first(plane) && (scene_->geometries[g].unbounded || may_meet(g, plane, at))) add_near(g, plane);
   if (scene_->geometries[g].unbounded) {
     for (int other = 0; other < static_cast<int>(boxes_.size()); ++other)
       if (!scene_->geometries[other].unbounded && is_first(other) && may_meet(other, g, at)) add_near(g, other);
     return;
   }
-  for (int plane : planes_)
-    if (is_first(plane) && may_meet(g, plane, at)) add_near(g, plane);
   tree_->each_overlap(boxes_[g], [&](int other) {
     if (is_first(other) && !(separation(boxes_[g], boxes_[other]) > 0.0)) add_near(g, other);
   });

@@ -24,6 +24,8 @@ enum class Feature : std::uint8_t {
   kEndA = 11,
   kRimLineB = 12,  // rim i / 2 of b against edge j of a; i odd: the second place where they are nearest
   kRimLineA = 13,
+  kSolidsB = 14,  // common normal j of two solids, from a to b
+  kSolidsA = 15,
 };
 
 // Material points of one rim; point k of rim i is number i * kRimPoints + k.

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "geometry/nearest_features.hpp"
+#include "geometry/solid_pair.hpp"
 #include "model/function_surface.hpp"
 
 namespace contactvi {
@@ -42,7 +43,8 @@ bool ContactTangent::take(const VecCRef& q, int guard, const Contact& contact, c
   turning_.setZero();
   if (pair.law >= 0) turning_ << scene_->laws[pair.law].spinning, scene_->laws[pair.law].rolling;
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
-  scale_ = a.unbounded ? b.radius : b.unbounded ? a.radius : std::min(a.radius, b.radius);
+  const auto size = [](const Geometry& g) { return g.radius > 0.0 ? g.radius : kInfinity; };
+  scale_ = std::min(size(a), size(b));
   const bool is_known = point != nullptr && point->kind != PointKind::kWitness && point->kind != PointKind::kLimit;
   return (is_known ? take_point(*point) : take_witness(guard)) && take_axis(pair);
 }
@@ -95,6 +97,7 @@ bool ContactTangent::take_point(const ContactPoint& p) {
     surface_[side] = ContactSurface::point("vertex", center, p.radius);
     return set_system();
   }
+  if (p.kind == PointKind::kSolids) return take_solids(p);
   surface_[1 - side] = ContactSurface::plane("face", across, other.R * p.normal_B, 0.0);
   if (p.kind == PointKind::kVertex) {
     surface_[side] = ContactSurface::point("vertex", own.point(p.center_B), p.radius);
@@ -103,6 +106,21 @@ bool ContactTangent::take_point(const ContactPoint& p) {
   const Vec3 axis = own.R * p.axis_B;
   if (rim_tilt(p.rim_radius, axis, n) <= kUpright) return refuse("the nearest features are a rim flat on a face");
   surface_[side] = ContactSurface::rim(own.point(p.center_B), axis, p.rim_radius, outward(side), p.radius);
+  return set_system();
+}
+
+bool ContactTangent::take_solids(const ContactPoint& p) {
+  const SolidPair solids(*scene_, p.guard, twists_.placements());
+  const CommonNormal near{contact_.gap, Vec3::Zero(), SolidPair::in_surface(solids.first(), p.origin_B),
+                          SolidPair::in_surface(solids.second(), p.center_B), false};
+  Mat3 bends[2];
+  if (!solids.normals().bends(near, bends[0], bends[1])) return refuse("the curvature of two solids is not known");
+  for (int k = 0; k < 2; ++k) {
+    const int side = (k == 1) == p.on_b ? 1 : 0;
+    const Mat3& R = solids.first_pose().R;
+    surface_[side] = ContactSurface::curved("surface of a solid", side == 1 ? contact_.point_b : contact_.point_a,
+                                            R * bends[k] * R.transpose());
+  }
   return set_system();
 }
 

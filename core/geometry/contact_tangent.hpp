@@ -65,6 +65,7 @@ class ContactTangent {
   using Vec6 = Eigen::Matrix<double, 6, 1>;
 
   bool take_point(const ContactPoint& point);
+  bool take_solids(const ContactPoint& p);
   bool take_witness(int guard);
   // Finds both features and the nearest points on them. nearby: those of the contact are known to some digits only.
   bool approach(const Pair& pair, const Pose (&pose)[2], bool nearby);

@@ -271,7 +271,8 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
 
 bool Guards::has_closed_form(int guard) const {
   const Pair& pair = scene_->pairs[guard];
-  return scene_->geometries[pair.a].unbounded != scene_->geometries[pair.b].unbounded || manifolds_.has_capsules(guard);
+  return scene_->geometries[pair.a].unbounded != scene_->geometries[pair.b].unbounded ||
+         manifolds_.has_capsules(guard) || manifolds_.are_solids(guard);
 }
 
 double Guards::find_nearest(int guard, Contact& contact) {
@@ -481,8 +482,8 @@ double Guards::cheap_bound(int guard) {
   place_pair(guard);
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
-  if (a.unbounded || b.unbounded) {
-    const Geometry &half = a.unbounded ? a : b, &other = a.unbounded ? b : a;
+  if (!a.is_bounded() || !b.is_bounded()) {
+    const Geometry &half = a.is_bounded() ? b : a, &other = a.is_bounded() ? a : b;
     Mat3 R;
     Vec3 p;
     geometry_pose(half, placements_, R, p);

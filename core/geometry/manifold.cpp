@@ -6,8 +6,10 @@
 #include <array>
 #include <limits>
 
+#include "base/refusal.hpp"
 #include "geometry/line_contact.hpp"
 #include "geometry/nearest_features.hpp"
+#include "geometry/solid_pair.hpp"
 
 namespace contactvi {
 
@@ -242,10 +244,11 @@ bool is_over(const Parts& parts, const ContactPoint& point, const Placements& at
 // The candidate with the least gap that is no persistent contact.
 class Manifolds::Least final : public CandidateSink {
  public:
-  Least(const Manifolds& owner, const Placements& at, const ContactPoint* const* persistent, int count, double enough)
+  Least(const Manifolds& owner, int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+        double enough)
       : owner_(owner), at_(at), persistent_(persistent), count_(count), enough_(enough) {
     limit = enough;
-    supported_ = count >= std::min(3, owner.max_points_);
+    supported_ = count >= std::min(owner.are_solids(pair) ? 2 : 3, owner.max_points_);
   }
 
   void add(const Candidate& c) override {
@@ -293,7 +296,13 @@ Manifolds::Manifolds(const Scene& scene, int max_points) : scene_(&scene), max_p
     is_capsule_.push_back(g.sharp->getNodeType() == coal::GEOM_CAPSULE);
     any_feet_ |= g.surface && g.surface->knows_all_feet();
   }
+  for (int k = 0; k < static_cast<int>(scene.pairs.size()); ++k)
+    if (scene.geometries[scene.pairs[k].a].unbounded && scene.geometries[scene.pairs[k].b].unbounded && !are_solids(k))
+      throw Refusal("Two halfspaces cannot touch each other", "at most one halfspace in a pair", "two",
+                    "Take the pair out: scene.disable_pair(a, b)");
 }
+
+bool Manifolds::are_solids(int pair) const { return any_feet_ && SolidPair::is_one(*scene_, pair); }
 
 const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
   return shape_features_of(scene_->geometries[geometry], scene_->pairs[pair].rounded);
@@ -301,6 +310,7 @@ const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
 
 // Whether coal's point is the only one of the pair.
 bool Manifolds::is_single(int pair) const {
+  if (are_solids(pair)) return false;
   const ShapeFeatures &a = features(pair, scene_->pairs[pair].a), &b = features(pair, scene_->pairs[pair].b);
   auto is_empty = [](const ShapeFeatures& o) { return o.vertices.empty() && o.faces.empty(); };
   auto is_point = [](const ShapeFeatures& o) { return o.vertices.size() == 1; };
@@ -329,7 +339,8 @@ constexpr double kSameFoot = 1e-5, kSameFootLength = 1e-9;
 }  // namespace
 
 // All vertices of the other shape. A gap that is no number is listed whatever the limit is.
-void Manifolds::list_on_surface(int pair, const PairView& v, CandidateSink& sink) {
+void Manifolds::list_on_surface(int pair, const PairView& v, const Placements& at, CandidateSink& sink) {
+  if (are_solids(pair)) return list_common_normals(pair, at, sink);
   if (has_feet(pair)) return list_feet(pair, v, sink);
   const Geometry& g = *surface_of(pair);
   const bool on_b = &g == &scene_->geometries[scene_->pairs[pair].a];
@@ -378,6 +389,84 @@ void Manifolds::list_feet(int pair, const PairView& v, CandidateSink& sink) {
   }
 }
 
+// The least common normal, and those within the limit of the sink. They begin with those of persistent points.
+void Manifolds::list_common_normals(int pair, const Placements& at, CandidateSink& sink) {
+  const SolidPair solids(*scene_, pair, at);
+  const Feature kind = solids.second_is_b() ? Feature::kSolidsB : Feature::kSolidsA;
+  std::vector<int> taken;
+  known_normals_.clear();
+  for (const KnownFoot& known : known_feet_) {
+    if (known.pair != pair) continue;
+    taken.push_back(feature_j(known.feature));
+    known_normals_.push_back({0.0, Vec3::Zero(), known.place, known.second, false});
+  }
+  // Beside persistent points the next one is looked for within a cell where nothing says how far it matters.
+  const double unsaid = known_normals_.empty() ? 0.0 : solids.second().solid->size();
+  const double reach = std::isfinite(sink.limit) ? std::max(sink.limit, 0.0) : unsaid;
+  solids.normals().all(known_normals_, reach, common_normals_, known_numbers_);
+  feet_.clear();
+  common_features_.clear();
+  listed_pair_ = pair;
+  int free = 0;
+  for (std::size_t k = 0; k < common_normals_.size(); ++k) {
+    const CommonNormal& c = common_normals_[k];
+    while (std::find(taken.begin(), taken.end(), free) != taken.end()) ++free;
+    const int number = known_numbers_[k] < 0 ? free++ : taken[static_cast<std::size_t>(known_numbers_[k])];
+    common_features_.push_back(feature_number(kind, 0, number));
+    if (!(c.gap > sink.limit)) sink.add({common_features_.back(), c.gap, solids.second_pose().point(c.second)});
+  }
+  if (common_normals_.empty()) feet_.push_back({kNaN, Vec3::UnitZ()});
+}
+
+ContactPoint Manifolds::make_solids_point(int pair, const SolidPair& solids, std::int64_t feature,
+                                          const CommonNormal& c) const {
+  ContactPoint p{};
+  p.guard = pair;
+  p.feature = feature;
+  p.kind = PointKind::kSolids;
+  p.on_b = solids.second_is_b();
+  p.point_body = solids.second().body;
+  p.plane_body = solids.first().body;
+  p.center_B = SolidPair::in_body(solids.second(), c.second);
+  p.origin_B = SolidPair::in_body(solids.first(), c.first);
+  return p;
+}
+
+void Manifolds::solids_gap(const ContactPoint& p, const Placements& at, Contact& contact) const {
+  const SolidPair solids(*scene_, p.guard, at);
+  CommonNormal c{kNaN, Vec3::UnitZ(), SolidPair::in_surface(solids.first(), p.origin_B),
+                 SolidPair::in_surface(solids.second(), p.center_B), false};
+  if (!solids.normals().near(c, c)) c.gap = kNaN;
+  set_contact(p, solids.first_pose().R * c.normal, solids.second_pose().point(c.second), c.gap, contact);
+}
+
+// That of a common normal which was listed last, or belongs to a persistent point.
+ContactPoint Manifolds::listed_point(int pair, const Placements& at, std::int64_t feature) const {
+  const SolidPair solids(*scene_, pair, at);
+  const auto listed = std::find(common_features_.begin(), common_features_.end(), feature);
+  if (pair == listed_pair_ && listed != common_features_.end())
+    return make_solids_point(pair, solids, feature,
+                             common_normals_[static_cast<std::size_t>(listed - common_features_.begin())]);
+  CommonNormal c{};
+  for (const KnownFoot& known : known_feet_)
+    if (known.pair == pair && known.feature == feature) c = {0.0, Vec3::Zero(), known.place, known.second, false};
+  return make_solids_point(pair, solids, feature, c);
+}
+
+// Whether a persistent point of two solids has come to where another one is, which has a lower number.
+bool Manifolds::has_merged(const ContactPoint& point, const Placements& at) const {
+  Contact own;
+  evaluate(point, at, own);
+  const SolidPair solids(*scene_, point.guard, at);
+  return std::any_of(known_feet_.begin(), known_feet_.end(), [&](const KnownFoot& known) {
+    if (known.pair != point.guard || known.feature >= point.feature) return false;
+    CommonNormal c{};
+    if (!solids.normals().near({0.0, Vec3::Zero(), known.place, known.second, false}, c)) return false;
+    const Vec3& x = point.on_b ? own.point_b : own.point_a;
+    return (solids.second_pose().point(c.second) - x).norm() < kSamePlace;
+  });
+}
+
 // Of the foot of a vertex that belongs to a persistent point; -1: to none.
 int Manifolds::number_of_foot(const FunctionSurface& surface, int pair, int vertex, const Vec3& point,
                               const Vec3& place) const {
@@ -392,6 +481,7 @@ int Manifolds::number_of_foot(const FunctionSurface& surface, int pair, int vert
 bool Manifolds::has_feet(int pair) const {
   const Geometry* g = any_feet_ ? surface_of(pair) : nullptr;
   if (g == nullptr || !g->surface->knows_all_feet()) return false;
+  if (are_solids(pair)) return true;
   const Pair& p = scene_->pairs[pair];
   return features(pair, g == &scene_->geometries[p.a] ? p.b : p.a).radius > 0.0;
 }
@@ -401,8 +491,17 @@ void Manifolds::set_persistent(int pair, const std::vector<const ContactPoint*>&
   known_feet_.erase(std::remove_if(known_feet_.begin(), known_feet_.end(),
                                    [pair](const KnownFoot& known) { return known.pair == pair; }),
                     known_feet_.end());
+  if (are_solids(pair)) {
+    const Pair& own = scene_->pairs[pair];
+    for (const ContactPoint* p : points) {
+      const Geometry &second = scene_->geometries[p->on_b ? own.b : own.a],
+                     &first = scene_->geometries[p->on_b ? own.a : own.b];
+      known_feet_.push_back({pair, p->feature, in_surface(first, p->origin_B), in_surface(second, p->center_B)});
+    }
+    return;
+  }
   const Geometry& g = *surface_of(pair);
-  for (const ContactPoint* p : points) known_feet_.push_back({pair, p->feature, in_surface(g, p->far_B)});
+  for (const ContactPoint* p : points) known_feet_.push_back({pair, p->feature, in_surface(g, p->far_B), Vec3::Zero()});
 }
 
 void Manifolds::surface_gap(const ContactPoint& p, const Placements& at, Contact& contact) const {
@@ -454,7 +553,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
   if (!is_single(pair)) {
     Collect sink(margin, found_);
     if (surface_of(pair) != nullptr) {
-      list_on_surface(pair, v, sink);
+      list_on_surface(pair, v, at, sink);
     } else {
       const Sides sides = sides_of_witness(v, witness);
       n = sides.n_W;
@@ -473,11 +572,14 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
     found_.push_back(nearest);
   }
   const std::vector<int>& chosen = selection_.choose(found_, n, max_points_);
-  for (int i : chosen) points.push_back(make_point(pair, v, found_[i], n));
+  const auto made = [&](const Candidate& c) {
+    return are_solids(pair) && c.feature != 0 ? listed_point(pair, at, c.feature) : make_point(pair, v, c, n);
+  };
+  for (int i : chosen) points.push_back(made(found_[i]));
   if (others == nullptr || chosen.size() == found_.size()) return;
   for (int i = 0; i < static_cast<int>(found_.size()); ++i)
     if (found_[i].feature != 0 && !std::binary_search(chosen.begin(), chosen.end(), i))
-      others->push_back(make_point(pair, v, found_[i], n));
+      others->push_back(made(found_[i]));
 }
 
 // Takes features out of those that were found, and leaves in the list those that were. True where none is left.
@@ -503,7 +605,7 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
   for (int i = 0; i < count && known == nullptr; ++i)
     if (persistent[i]->feature != 0) known = persistent[i];
   const Sides sides = known != nullptr ? sides_of_point(v, *known, at) : sides_of_witness(v, *witness);
-  Least least(*this, at, persistent, count, enough);
+  Least least(*this, pair, at, persistent, count, enough);
   list_candidates(v, sides, true, edges_, least);
   double value = least.value();
   if (value < kInfinity) evaluate(make_point(pair, v, least.best, sides.n_W), at, contact);
@@ -522,15 +624,18 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
 double Manifolds::next_gap_on_surface(int pair, const Placements& at, const PairView& v,
                                       const ContactPoint* const* persistent, int count, double enough,
                                       Contact& contact) {
-  Least least(*this, at, persistent, count, enough);
-  list_on_surface(pair, v, least);
+  Least least(*this, pair, at, persistent, count, enough);
+  list_on_surface(pair, v, at, least);
   for (const SurfaceFoot& foot : feet_) {
     if (std::isfinite(foot.distance)) continue;
     contact.gap = foot.distance;
     return foot.distance;
   }
   const double value = least.value();
-  if (value < kInfinity) evaluate(make_point(pair, v, least.best, Vec3::Zero()), at, contact);
+  if (value == kInfinity) return value;
+  const bool solids = are_solids(pair);
+  evaluate(solids ? listed_point(pair, at, least.best.feature) : make_point(pair, v, least.best, Vec3::Zero()), at,
+           contact);
   return value;
 }
 
@@ -683,6 +788,7 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
 }
 
 ContactPoint Manifolds::point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const {
+  if (are_solids(pair) && feature != 0) return listed_point(pair, at, feature);
   const Candidate named{feature, 0.0, 0.5 * (witness.point_a + witness.point_b)};
   // Of several feet the one of this number, where it is now.
   for (const KnownFoot& known : known_feet_) {
@@ -704,6 +810,8 @@ void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contac
     rim_line_gap(point, at, contact);
   } else if (point.kind == PointKind::kSurface) {
     surface_gap(point, at, contact);
+  } else if (point.kind == PointKind::kSolids) {
+    solids_gap(point, at, contact);
   } else {
     edge_gap(point, at, contact);
   }
@@ -711,6 +819,7 @@ void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contac
 
 bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
   if (point.feature == 0) return true;
+  if (point.kind == PointKind::kSolids) return !has_merged(point, at);
   const PairView v = view(point.guard, at);
   if (point.kind == PointKind::kEdge) {
     Contact contact;
@@ -755,6 +864,17 @@ double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Co
 }
 
 void Manifolds::update_moving(ContactPoint& point, const Placements& at) {
+  if (point.kind == PointKind::kSolids) {
+    const SolidPair solids(*scene_, point.guard, at);
+    CommonNormal c{0.0, Vec3::Zero(), SolidPair::in_surface(solids.first(), point.origin_B),
+                   SolidPair::in_surface(solids.second(), point.center_B), false};
+    if (!solids.normals().near(c, c)) return;
+    point = make_solids_point(point.guard, solids, point.feature, c);
+    for (KnownFoot& known : known_feet_)
+      if (known.pair == point.guard && known.feature == point.feature)
+        known = {known.pair, known.feature, c.first, c.second};
+    return;
+  }
   if (point.kind == PointKind::kSurface && has_feet(point.guard)) {
     Contact contact;
     evaluate(point, at, contact);

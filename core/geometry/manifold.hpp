@@ -25,6 +25,10 @@
 // a ball has a point at each of them, which goes with its foot: feet that belong to persistent points have their
 // numbers, the others the lowest numbers that are left.
 //
+// Two solids, and a solid and a halfspace or an ellipsoid, touch at their common normals (kSolids), whose numbers are
+// given as those of feet. Where the surfaces lie along each other there are places all over; a few of them, which span
+// the area, become points.
+//
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
 //     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two
 //     capsules.
@@ -39,15 +43,17 @@
 #include "geometry/candidates.hpp"
 #include "geometry/contact.hpp"
 #include "geometry/point_selection.hpp"
+#include "model/common_normal.hpp"
 #include "model/function_surface.hpp"
 
 namespace contactvi {
 
-enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge, kEnd, kRimLine, kSurface };
+enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge, kEnd, kRimLine, kSurface, kSolids };
 
 // Whether where the point is found again is kept with it (far_B).
 inline bool moves_over_both(PointKind kind) {
-  return kind == PointKind::kRim || kind == PointKind::kRimLine || kind == PointKind::kSurface;
+  return kind == PointKind::kRim || kind == PointKind::kRimLine || kind == PointKind::kSurface ||
+         kind == PointKind::kSolids;
 }
 
 struct ContactPoint {
@@ -75,6 +81,8 @@ struct ContactPoint {
   // normal_B, swept by `offset`. kRimLine: the circle of kRim against such a line, where they are nearest near far_B.
   // kSurface: the point center_B, swept by `radius`, against a surface that a function gives; of several feet the one
   // near far_B, in plane_body's frame.
+  // kSolids: the common normal of two solids, or of a solid and a halfspace, near the place center_B on the surface of
+  // point_body and the place origin_B on that of plane_body.
   Vec3 origin_B;
 };
 
@@ -82,6 +90,8 @@ struct ContactPoint {
 inline bool same_point(const ContactPoint& a, const ContactPoint& b) {
   return a.guard == b.guard && a.kind == b.kind && a.feature == b.feature;
 }
+
+class SolidPair;
 
 class Manifolds {
  public:
@@ -111,6 +121,8 @@ class Manifolds {
   void update_moving(ContactPoint& point, const Placements& at);
   // Whether a ball of the pair, or of any, may touch in several feet of a surface that a function gives.
   bool any_feet() const { return any_feet_; }
+  // Whether a pair is of two solids, or of one and a halfspace or an ellipsoid.
+  bool are_solids(int pair) const;
   bool has_feet(int pair) const;
   // The points of a pair that persist from now on. Of no concern where the pair has no several feet.
   void set_persistent(int pair, const std::vector<const ContactPoint*>& points);
@@ -171,9 +183,14 @@ class Manifolds {
   bool is_single(int pair) const;
   // The geometry of a pair that is a surface given by a function, null: none.
   const Geometry* surface_of(int pair) const;
-  void list_on_surface(int pair, const PairView& v, CandidateSink& sink);
+  void list_on_surface(int pair, const PairView& v, const Placements& at, CandidateSink& sink);
   void list_feet(int pair, const PairView& v, CandidateSink& sink);
   int number_of_foot(const FunctionSurface& surface, int pair, int vertex, const Vec3& point, const Vec3& place) const;
+  void list_common_normals(int pair, const Placements& at, CandidateSink& sink);
+  ContactPoint make_solids_point(int pair, const SolidPair& solids, std::int64_t feature, const CommonNormal& c) const;
+  void solids_gap(const ContactPoint& p, const Placements& at, Contact& contact) const;
+  ContactPoint listed_point(int pair, const Placements& at, std::int64_t feature) const;
+  bool has_merged(const ContactPoint& point, const Placements& at) const;
   void surface_gap(const ContactPoint& p, const Placements& at, Contact& contact) const;
   class Least;
   bool take_out(std::vector<std::int64_t>& features);
@@ -200,8 +217,14 @@ class Manifolds {
     int pair;
     std::int64_t feature;
     Vec3 place;
+    Vec3 second;  // of two solids: the place on the second one
   };
   std::vector<KnownFoot> known_feet_;
+  // The common normals of the pair that was listed last, and their features.
+  std::vector<CommonNormal> known_normals_, common_normals_;
+  std::vector<std::int64_t> common_features_;
+  int listed_pair_ = -1;
+  std::vector<int> known_numbers_;
 };
 
 // See Manifolds::next_gap [m].

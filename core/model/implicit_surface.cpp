@@ -24,6 +24,13 @@ constexpr double kSolidSaddle = -1e-6;
 // those that differ by much nothing is concluded.
 constexpr double kMoreSpread = 1.5, kMostSpread = 0.7;
 
+ImplicitSurface::Place place_of(const Vec3& at, const LevelSet::Value& v) {
+  const double length = v.gradient.norm();
+  const Vec3 normal = v.gradient / length;
+  const Mat3 across = Mat3::Identity() - normal * normal.transpose();
+  return {at, normal, across * v.hessian * across / length};
+}
+
 }  // namespace
 
 class ImplicitSurface::Search {
@@ -39,35 +46,16 @@ class ImplicitSurface::Search {
   double square() const { return square_; }
   const Vec3& at() const { return at_; }
   SurfaceFoot foot() const { return {normal_.dot(x_ - at_), normal_}; }
-  Mat3 bend() const {
-    const Mat3 across = Mat3::Identity() - normal_ * normal_.transpose();
-    return across * value_.hessian * across / value_.gradient.norm();
-  }
+  Place place() const { return place_of(at_, value_); }
   // A place beside a saddle.
   Vec3 beside() const { return at_ + 0.3 * surface_->size_ * any_tangent(normal_); }
 
  private:
   enum class State : std::uint8_t { kSearches, kFound, kFailed };
 
-  // The place on the surface next to p, and the level set there.
-  bool back(Vec3& p, LevelSet::Value& v) const {
-    for (int k = 0; k < kReturns; ++k) {
-      v = surface_->value(p);
-      const double square = v.gradient.squaredNorm();
-      if (!std::isfinite(v.f) || !(square > 0.0)) return false;
-      const Vec3 step = v.f / square * v.gradient;
-      const double longest = kLongest * surface_->size_, length = step.norm();
-      p -= length > longest ? Vec3(longest / length * step) : step;
-      if (length > kBack * surface_->size_) continue;
-      v = surface_->value(p);
-      return std::isfinite(v.f);
-    }
-    return false;
-  }
-
   Vec3 take(Vec3 p) {
     LevelSet::Value v;
-    if (!back(p, v)) {
+    if (!surface_->back(p, v)) {
       if (square_ == kInfinity || damping_ > 1e6) state_ = State::kFailed;
       damping_ = std::max(kFirstDamping, kMore * damping_);
       return square_ == kInfinity ? p : step();
@@ -113,6 +101,22 @@ class ImplicitSurface::Search {
   State state_ = State::kSearches;
 };
 
+// The place on the surface next to p, and the level set there.
+bool ImplicitSurface::back(Vec3& p, LevelSet::Value& v) const {
+  for (int k = 0; k < kReturns; ++k) {
+    v = value(p);
+    const double square = v.gradient.squaredNorm();
+    if (!std::isfinite(v.f) || !(square > 0.0)) return false;
+    const Vec3 step = v.f / square * v.gradient;
+    const double longest = kLongest * size_, length = step.norm();
+    p -= length > longest ? Vec3(longest / length * step) : step;
+    if (length > kBack * size_) continue;
+    v = value(p);
+    return std::isfinite(v.f);
+  }
+  return false;
+}
+
 ImplicitSurface::ImplicitSurface(std::unique_ptr<const LevelSet> level, bool inverse, const BoxTree::Box& box,
                                  const Eigen::Vector3i& cells, Lost lost)
     : FunctionSurface(std::move(lost)),
@@ -122,18 +126,34 @@ ImplicitSurface::ImplicitSurface(std::unique_ptr<const LevelSet> level, bool inv
       boxes_(passed(box, cells)),
       tree_(boxes_) {
   for (const BoxTree::Box& cell : boxes_) parts_.push_back(part_in(cell));
+  cones_.resize(tree_.nodes().size());
+  tree_.each_node([this](std::size_t node, const int* first, const int* last) {
+    Vec3 sum = Vec3::Zero();
+    for (const int* k = first; k != last; ++k) sum += parts_[static_cast<std::size_t>(*k)].normal;
+    Cone cone{sum.normalized(), sum.norm() > 0.0 ? 0.0 : M_PI, 0.0, 0.0};
+    for (const int* k = first; k != last && cone.angle < M_PI; ++k) {
+      const Part& part = parts_[static_cast<std::size_t>(*k)];
+      const double apart = std::acos(std::clamp(cone.axis.dot(part.normal), -1.0, 1.0));
+      cone.angle = std::max(cone.angle, part.spread < 1.0 ? apart + std::asin(part.spread) : M_PI);
+    }
+    cone.cosine = std::cos(cone.angle);
+    cone.sine = std::sin(cone.angle);
+    cones_[node] = cone;
+  });
 }
 
 ImplicitSurface::Part ImplicitSurface::part_in(const BoxTree::Box& cell) const {
-  const LevelSet::Value middle = value(cell.center());
-  const Vec3 way = middle.f / middle.gradient.squaredNorm() * middle.gradient;
-  Part part{cell.center() - way, middle.gradient.normalized(), 0.5 * size_ + way.norm(), 0.0};
+  Place place;
+  // Where the way to the surface is not found no range is known.
+  if (!onto(cell.center(), place)) place = place_of(cell.center(), value(cell.center()));
+  Part part{place.at, place.normal, place.bend, 0.5 * size_ + (place.at - cell.center()).norm(), 0.0};
   for (int c = 0; c < 8; ++c) {
     const Vec3 normal = value(cell.corner(static_cast<BoxTree::Box::CornerType>(c))).gradient.normalized();
     const double sine = kMoreSpread * part.normal.cross(normal).norm();
     part.spread = sine < kMostSpread && part.normal.dot(normal) > 0.0 ? std::max(part.spread, sine) : kInfinity;
     if (part.spread == kInfinity) break;
   }
+  if (place.at == cell.center()) part.spread = kInfinity;
   return part;
 }
 
@@ -209,9 +229,23 @@ SurfaceFoot ImplicitSurface::foot_near(const Vec3& point, const Vec3& place) con
   return s.found() ? s.foot() : SurfaceFoot{kNaN, Vec3::UnitZ()};
 }
 
+bool ImplicitSurface::foot_place(const Vec3& point, const Vec3& start, Place& foot) const {
+  const Search s(*this, point, start, kInfinity);
+  if (s.found()) foot = s.place();
+  return s.found();
+}
+
+bool ImplicitSurface::onto(const Vec3& point, Place& place) const {
+  Vec3 p = point;
+  LevelSet::Value v;
+  if (!back(p, v)) return false;
+  place = place_of(p, v);
+  return true;
+}
+
 Mat3 ImplicitSurface::bend(const Vec3& point, const Vec3& place) const {
   const Search s(*this, point, place, kInfinity);
-  return s.found() ? s.bend() : Mat3(Mat3::Constant(kNaN));
+  return s.found() ? s.place().bend : Mat3(Mat3::Constant(kNaN));
 }
 
 void ImplicitSurface::find(const Vec3* points, int count, double /*ball*/, SurfaceFoot* feet) const {

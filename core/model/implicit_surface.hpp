@@ -26,17 +26,41 @@ class ImplicitSurface final : public FunctionSurface {
   void all_feet(const Vec3& point, double reach, std::vector<SurfaceFoot>& feet) const override;
   SurfaceFoot foot_near(const Vec3& point, const Vec3& place) const override;
 
+  // A place on the surface, its outward normal, and how that turns along the surface, as bend().
+  struct Place {
+    Vec3 at, normal;
+    Mat3 bend;
+  };
+  // The foot of a point to which the distance falls from a start near the surface. False: none is found.
+  bool foot_place(const Vec3& point, const Vec3& start, Place& foot) const;
+  // The place on the surface next to a point, along the gradient. False: none is found.
+  bool onto(const Vec3& point, Place& place) const;
+  // Not where the level set is not known.
+  bool is_inside(const Vec3& point) const { return value(point).f < 0.0; }
+
+  // The part of the surface in a cell: no farther than `reach` from a place next to it, where it turns by `bend`, and
+  // with normals that differ from `normal` by no more than an angle, of which `spread` is a bound on the sine;
+  // infinite: none is known.
+  struct Part {
+    Vec3 place, normal;
+    Mat3 bend;
+    double reach, spread;
+  };
+  const std::vector<Part>& parts() const { return parts_; }
+  const BoxTree& tree() const { return tree_; }  // of the boxes of the parts
+  // Of each node of the tree: normals of its parts differ from the axis by no more than the angle [rad].
+  struct Cone {
+    Vec3 axis;
+    double angle, cosine, sine;
+  };
+  const std::vector<Cone>& cones() const { return cones_; }
+  double size() const { return size_; }
+
  private:
   class Search;
 
-  // The part of the surface in a cell: no farther than `reach` from a place next to it, and with normals that differ
-  // from `normal` by no more than an angle, of which `spread` is a bound on the sine; infinite: none is known.
-  struct Part {
-    Vec3 place, normal;
-    double reach, spread;
-  };
-
   LevelSet::Value value(const Vec3& x) const;
+  bool back(Vec3& p, LevelSet::Value& v) const;
   Part part_in(const BoxTree::Box& cell) const;
   // Whether a point may have a foot in a cell that is nearer than the limit.
   bool may_hold(const Part& part, const Vec3& point, double limit) const;
@@ -48,6 +72,7 @@ class ImplicitSurface final : public FunctionSurface {
   std::vector<BoxTree::Box> boxes_;
   std::vector<Part> parts_;
   BoxTree tree_;
+  std::vector<Cone> cones_;
 };
 
 }  // namespace contactvi

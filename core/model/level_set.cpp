@@ -66,6 +66,28 @@ class Superellipsoid final : public LevelSet {
   double exponent_;
 };
 
+class Thread final : public LevelSet {
+ public:
+  Thread(double radius, double depth, double pitch) : radius_(radius), depth_(depth), pitch_(pitch) {}
+
+  Value at(const Vec3& p) const override {
+    const Jet x = Jet::coordinate(p, 0), y = Jet::coordinate(p, 1), z = Jet::coordinate(p, 2);
+    const Jet out = root(square(x) + square(y));
+    const double below = out.f * out.f, fourth = below * below;
+    Jet angle{std::atan2(p[1], p[0]), Vec3(-p[1], p[0], 0.0) / below, Mat3::Zero()};
+    angle.h(0, 0) = 2.0 * p[0] * p[1] / fourth;
+    angle.h(1, 1) = -angle.h(0, 0);
+    angle.h(0, 1) = angle.h(1, 0) = (p[1] * p[1] - p[0] * p[0]) / fourth;
+    const Jet turn = angle + (-2.0 * M_PI / pitch_) * z;
+    const double sine = std::sin(turn.f), cosine = std::cos(turn.f);
+    const Jet d = out - radius_ + (-depth_) * turn.chain(cosine, -sine, -cosine);
+    return {d.f, d.g, d.h};
+  }
+
+ private:
+  double radius_, depth_, pitch_;
+};
+
 class SplineLevelSet final : public LevelSet {
  public:
   SplineLevelSet(std::vector<double> coefficients, const Eigen::Vector3i& counts, const Vec3& corner,
@@ -125,6 +147,10 @@ std::unique_ptr<const LevelSet> torus(double ring, double tube) { return std::ma
 
 std::unique_ptr<const LevelSet> superellipsoid(const Vec3& radii, double exponent) {
   return std::make_unique<Superellipsoid>(radii, exponent);
+}
+
+std::unique_ptr<const LevelSet> thread(double radius, double depth, double pitch) {
+  return std::make_unique<Thread>(radius, depth, pitch);
 }
 
 std::unique_ptr<const LevelSet> spline_level_set(std::vector<double> coefficients, const Eigen::Vector3i& counts,

@@ -30,6 +30,8 @@ class LevelSet {
 std::unique_ptr<const LevelSet> torus(double ring, double tube);
 // |x/a|^n + |y/b|^n + |z/c|^n = 1 with n >= 2.
 std::unique_ptr<const LevelSet> superellipsoid(const Vec3& radii, double exponent);
+// About z: at the height z it is radius + depth cos(angle - 2 pi z / pitch) from the axis [m], without an end.
+std::unique_ptr<const LevelSet> thread(double radius, double depth, double pitch);
 // A tricubic spline: a sum of products of cubic B-splines, that of coefficient (i, j, k) centred at corner +
 // spacing (i - 1, j - 1, k - 1). Within the box of its cells, of which there are three fewer than coefficients.
 std::unique_ptr<const LevelSet> spline_level_set(std::vector<double> coefficients, const Eigen::Vector3i& counts,

@@ -303,10 +303,6 @@ Scene load_scene(std::shared_ptr<const PublicModel> model, const std::vector<Giv
   for (Eigen::Index k = 0; k < pairs.rows(); ++k) {
     Pair pair{pairs(k, 0), pairs(k, 1), parameters.pair_restitution[k], parameters.pair_friction[k], false, false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
-    if (a.unbounded && b.unbounded)
-      throw Refusal("Two halfspaces cannot touch each other", "at most one halfspace in a pair",
-                    "'" + shapes[pair.a].name + "' and '" + shapes[pair.b].name + "'",
-                    "Take the pair out: scene.disable_pair(a, b)");
     pair.rounded = !needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType());
     set_iteration(a.sharp->getNodeType(), b.sharp->getNodeType(), pair);
     scene.pairs.push_back(pair);

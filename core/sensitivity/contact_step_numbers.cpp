@@ -309,7 +309,7 @@ bool is_body(const Scene& scene, int k) { return k == -1 || within(k, scene.tree
 
 // Whether it is a point of one of the scene's guards.
 bool belongs(const Scene& scene, const ContactPoint& p) {
-  if (!within(p.guard, scene.guard_count()) || p.kind > PointKind::kSurface) return false;
+  if (!within(p.guard, scene.guard_count()) || p.kind > PointKind::kSolids) return false;
   if ((p.kind == PointKind::kLimit) == scene.is_pair(p.guard)) return false;
   return p.kind == PointKind::kLimit || (is_body(scene, p.point_body) && is_body(scene, p.plane_body));
 }

@@ -81,6 +81,36 @@ def test_distances_from_a_superellipsoid() -> None:
         assert abs(feet_of(scene, "ball", point)[0, 0] - (np.linalg.norm(point) - 0.3)) < 1e-13
 
 
+@pytest.mark.parametrize("pitch", [0.3, -0.3])
+def test_distances_from_a_thread(pitch: float) -> None:
+    """Feet lie on the thread; a general minimizer finds none nearer, and a screw motion changes no distance."""
+    radius, depth = 0.2, 0.05
+    scene = cvi.Scene()
+    scene.add_thread("bolt", radius, depth, pitch, 2.0)
+    scene.add_sphere("ball", 0.01, placement=(3.0, 0.0, 0.0))
+
+    def on_thread(u: np.ndarray) -> np.ndarray:
+        out = radius + depth * np.cos(u[0] - 2.0 * np.pi * u[1] / pitch)
+        return np.array([out * np.cos(u[0]), out * np.sin(u[0]), u[1]])
+
+    rng = np.random.default_rng(4)
+    for angle, out, z in rng.uniform([-3.0, 0.26, -0.3], [3.0, 0.35, 0.3], (12, 3)):
+        point = np.array([out * np.cos(angle), out * np.sin(angle), z])
+        gap, *n = feet_of(scene, "bolt", point)[0]
+        foot = point - gap * np.array(n)
+        u = np.array([np.arctan2(foot[1], foot[0]), foot[2]])
+        np.testing.assert_allclose(on_thread(u), foot, atol=1e-12)
+        best = min(
+            minimize(lambda u, point=point: float(((on_thread(u) - point) ** 2).sum()), start, method="BFGS").fun
+            for start in rng.uniform([angle - 1.0, z - 0.2], [angle + 1.0, z + 0.2], (8, 2))
+        )
+        assert gap < np.sqrt(best) + 1e-9
+        turn = rng.uniform(-1.0, 1.0)
+        c, s = np.cos(turn), np.sin(turn)
+        moved = [c * point[0] - s * point[1], s * point[0] + c * point[1], point[2] + pitch * turn / (2.0 * np.pi)]
+        assert abs(feet_of(scene, "bolt", moved)[0, 0] - gap) < 1e-12
+
+
 def test_a_sampled_torus_is_as_near_as_the_report_says() -> None:
     """Of fourth order in the spacing; feet on the sampled surface are within the stated bound of the torus."""
     extent, stated = [(-0.8, 0.8), (-0.8, 0.8), (-0.3, 0.3)], []
@@ -251,6 +281,7 @@ def test_they_are_stored() -> None:
     scene.add_torus("ring", RING, TUBE, free=False)
     scene.add_superellipsoid("stone", [0.3, 0.2, 0.1], 3.0, free=False, placement=(2.0, 0.0, 0.0))
     scene.add_solid("sampled", torus_function, [(-0.8, 0.8), (-0.8, 0.8), (-0.3, 0.3)], 0.05, placement=(4.0, 0.0, 0.0))
+    scene.add_thread("bolt", 0.2, 0.05, 0.3, 1.0, placement=(6.0, 0.0, 0.0))
     scene.add_sphere("ball", RADIUS)
     assert scene.to_dict()["missing"] == []
     runs = [
@@ -268,6 +299,10 @@ def test_what_is_refused() -> None:
         scene.add_torus("a", 0.2, 0.3)
     with pytest.raises(InputError, match="fixed to the world"):
         scene.add_torus("a", 0.5, 0.2, hollow=True)
+    with pytest.raises(InputError, match="less than the radius"):
+        scene.add_thread("a", 0.1, 0.2, 0.3, 1.0)
+    with pytest.raises(InputError, match="another number than zero"):
+        scene.add_thread("a", 0.2, 0.1, 0.0, 1.0)
     with pytest.raises(InputError, match="exponent"):
         scene.add_superellipsoid("a", [1.0, 1.0, 1.0], 1.5)
     with pytest.raises(InputError, match="border of the extent"):

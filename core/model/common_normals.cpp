@@ -1,0 +1,308 @@
+#include "model/common_normals.hpp"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+
+#include "base/numerics.hpp"
+#include "model/foot_search.hpp"
+
+namespace contactvi {
+
+namespace {
+
+using Vec2 = Eigen::Vector2d;
+using Mat2 = Eigen::Matrix2d;
+using Mat32 = Eigen::Matrix<double, 3, 2>;
+
+constexpr int kNormalRounds = 40, kBoundRounds = 16;
+// Of the size of a cell: cells that are no farther from each other may hold an overlap, whatever gap was found.
+constexpr double kDeepest = 0.1;
+// Of the size of a cell: no longer step; beyond this way another pair of cells has searches of its own.
+constexpr double kLongestSlide = 1.0, kFarthestSlide = 4.0;
+// Of the size of a cell: a shorter step is the last one, Newton's method doubles the digits. A valley in which the
+// distance falls by rounding alone needs no more of them.
+constexpr double kLastSlide = 1e-9, kSameGapOfSize = 1e-14;
+// Times the size of a cell: curvatures that are less count as this much in a step, and as flat in what is found.
+constexpr double kFlatOfSize = 1e-4;
+// As that: with a lower curvature of the distance a place is a saddle.
+constexpr double kSaddleOfSize = -1e-6;
+// [m] Gaps that are this near to zero are known to rounding, and a place may seem to lie on the other side.
+constexpr double kSideRounding = 1e-9;
+// Sine of the angle between the normals, from which on they are not opposite.
+constexpr double kOpposite = 1e-6;
+// Of the reach of the two cells: where the quadratic surfaces through them may be wrong about their common normal.
+constexpr double kGuess = 2.0;
+// Of the size of a cell: common normals that are no farther from each other are one; along a flat way, and where a
+// guess is no search of its own.
+constexpr double kOneNormal = 1e-6, kOneFlat = 0.5, kOneGuess = 1.0;
+
+Mat32 tangents(const Vec3& n) {
+  Mat32 T;
+  T.col(0) = any_tangent(n);
+  T.col(1) = n.cross(T.col(0));
+  return T;
+}
+
+// Of the signed distance from a surface that turns by A at the foot, away from it by f.
+Mat3 curvature_at(const Mat3& A, double f) { return A * (Mat3::Identity() + f * A).inverse(); }
+
+}  // namespace
+
+class CommonNormals::Search {
+ public:
+  // From a place p near the first surface and x near the second one, each in its own frame.
+  Search(const CommonNormals& of, const Vec3& p, const Vec3& x, double farthest) : of_(of) {
+    if (!set(p, x)) return;
+    const Vec3 start = here_.x.at;
+    choose_step();
+    for (int round = 0; round < kNormalRounds && !ends_; ++round) {
+      const Vec3 next = here_.x.at + of_.R_.transpose() * (T_ * step_);
+      if (last_) ends_ = true;
+      const bool falls = set(here_.p.at, next);
+      if (!falls) {
+        damping_ = std::max(kFirstDamping * stiffest_, kMore * damping_);
+        if (damping_ > 1e8 * stiffest_) return;
+      } else {
+        damping_ = damping_ * kLess < kNoDamping * stiffest_ ? 0.0 : damping_ * kLess;
+      }
+      if ((here_.x.at - start).norm() > farthest) return;
+      choose_step();
+    }
+    found_ = (ends_ || settled_) && here_.m.dot(here_.p.normal) < 0.0 && skew_ <= kOpposite;
+  }
+
+  bool found() const { return found_ && least_ * of_.size() >= kSaddleOfSize; }
+  bool at_saddle() const { return found_ && !(least_ * of_.size() >= kSaddleOfSize); }
+  // Places in the frame of the second surface on both sides of a saddle.
+  Vec3 beside(double sign) const {
+    return here_.x.at + sign * 0.3 * of_.size() * (of_.R_.transpose() * (T_ * softest_));
+  }
+  const Vec3& first_place() const { return here_.p.at; }
+  CommonNormal result() const {
+    return {here_.f, here_.p.normal, here_.p.at, here_.x.at, least_ * of_.size() < kFlatOfSize};
+  }
+  const Mat3& first_bend() const { return here_.p.bend; }
+  const Mat3& second_bend() const { return here_.B; }
+
+ private:
+  struct State {
+    Place p, x;
+    Vec3 m;  // the normal of the second surface, and how it turns, in the frame of the first one
+    Mat3 B;
+    double f = kInfinity;
+  };
+
+  // Goes to the place next to x, if the distance falls. False: it does not.
+  bool set(const Vec3& p, const Vec3& x) {
+    State next;
+    if (!of_.second_->onto(x, next.x)) return false;
+    const Vec3 y = of_.placed(next.x.at);
+    if (!of_.foot(y, p, next.p)) return false;
+    next.f = next.p.normal.dot(y - next.p.at);
+    const double rounding = kSameGapOfSize * of_.size() + kSquareRounding * std::abs(next.f);
+    if (!(ends_ || next.f <= here_.f + rounding)) return false;
+    settled_ = std::abs(next.f - here_.f) <= rounding;
+    next.m = of_.R_ * next.x.normal;
+    next.B = of_.R_ * next.x.bend * of_.R_.transpose();
+    here_ = next;
+    return true;
+  }
+
+  void choose_step() {
+    const double size = of_.size();
+    T_ = tangents(here_.m);
+    const Vec2 g = T_.transpose() * here_.p.normal;
+    const Mat3 curvature = curvature_at(here_.p.bend, here_.f) - here_.m.dot(here_.p.normal) * here_.B;
+    const Eigen::SelfAdjointEigenSolver<Mat2> eigen(Mat2(T_.transpose() * curvature * T_));
+    const Vec2 values = eigen.eigenvalues();
+    least_ = values[0];
+    softest_ = eigen.eigenvectors().col(0);
+    skew_ = g.norm();
+    stiffest_ = std::max(values.cwiseAbs().maxCoeff(), kFlatOfSize / size);
+    const Vec2 along = eigen.eigenvectors().transpose() * g;
+    const Vec2 positive = values.cwiseAbs().cwiseMax(kFlatOfSize / size);
+    last_ = along.cwiseQuotient(positive).norm() <= kLastSlide * size;
+    step_ = -eigen.eigenvectors() * along.cwiseQuotient(positive + Vec2::Constant(damping_));
+    const double length = step_.norm(), longest = kLongestSlide * size;
+    if (length > longest) step_ *= longest / length;
+  }
+
+  const CommonNormals& of_;
+  State here_;
+  Mat32 T_ = Mat32::Zero();
+  Vec2 step_ = Vec2::Zero(), softest_ = Vec2::UnitX();
+  double damping_ = 0.0, least_ = 0.0, stiffest_ = 1.0, skew_ = kInfinity;
+  bool last_ = false, ends_ = false, settled_ = false, found_ = false;
+};
+
+bool CommonNormals::foot(const Vec3& point, const Vec3& start, Place& place) const {
+  if (first_.solid != nullptr) return first_.solid->foot_place(point, start, place);
+  place = {point - (first_.normal.dot(point) - first_.offset) * first_.normal, first_.normal, Mat3::Zero()};
+  return true;
+}
+
+// Whether both places lie in the other solid, where the gap is negative: a side of one that is seen through it has such
+// a gap, too.
+bool CommonNormals::is_overlap(const CommonNormal& c) const {
+  if (c.gap > -kSideRounding) return true;
+  const Vec3 x = placed(c.second);
+  const bool inside = first_.solid != nullptr ? first_.solid->is_inside(x) : first_.normal.dot(x) < first_.offset;
+  return inside && second_->is_inside(R_.transpose() * (c.first - t_));
+}
+
+bool CommonNormals::near(const CommonNormal& known, CommonNormal& found) const {
+  if (!t_.allFinite() || !R_.allFinite()) return false;
+  const Search s(*this, known.first, known.second, kInfinity);
+  if (s.found()) found = s.result();
+  return s.found();
+}
+
+bool CommonNormals::bends(const CommonNormal& at, Mat3& first, Mat3& second) const {
+  const Search s(*this, at.first, at.second, kInfinity);
+  if (!s.found()) return false;
+  first = s.first_bend();
+  second = s.second_bend();
+  return true;
+}
+
+// Whether normals of two nodes of the trees may be opposite to each other, and along a line between their boxes.
+bool CommonNormals::may_face(std::size_t node, std::size_t other) const {
+  const ImplicitSurface::Cone &a = first_.solid->cones()[node], &b = second_->cones()[other];
+  const Vec3 its_axis = R_ * b.axis;
+  if (a.angle + b.angle < M_PI && -a.axis.dot(its_axis) < a.cosine * b.cosine - a.sine * b.sine) return false;
+  const BoxTree::Box &own = first_.solid->tree().nodes()[node], &its = second_->tree().nodes()[other];
+  const Vec3 from = placed(its.center()) - own.center();
+  const double distance = from.norm(), reach = 0.5 * (own.diagonal().norm() + its.diagonal().norm());
+  if (distance <= reach) return true;
+  const double sine = reach / distance, cosine = std::sqrt(1.0 - sine * sine);
+  const auto points = [&](const ImplicitSurface::Cone& cone, const Vec3& axis) {
+    return cone.angle >= 0.5 * M_PI || std::abs(axis.dot(from)) >= (cone.cosine * cosine - cone.sine * sine) * distance;
+  };
+  return points(a, a.axis) && points(b, its_axis);
+}
+
+// By the ranges of the normals of both: where they are not opposite, or point past the other cell, there is none.
+bool CommonNormals::may_hold(const ImplicitSurface::Part& a, const ImplicitSurface::Part& b, double limit) const {
+  if (a.spread == kInfinity || b.spread == kInfinity) return true;
+  // Spreads are sines of angles below a right one.
+  const double between = std::sqrt((1.0 - a.spread * a.spread) * (1.0 - b.spread * b.spread)) - a.spread * b.spread;
+  if (-a.normal.dot(R_ * b.normal) < between) return false;
+  const Vec3 from = placed(b.place) - a.place;
+  const double along = from.dot(a.normal), aside = (from - along * a.normal).norm(), reach = a.reach + b.reach;
+  const double out = std::max(0.0, aside - reach), near = std::max(0.0, std::abs(along) - reach);
+  return out <= (std::abs(along) + reach) * a.spread && near * near + out * out <= limit * limit;
+}
+
+// By the quadratic surfaces through both cells.
+CommonNormals::Guess CommonNormals::guess(const ImplicitSurface::Part& a, const ImplicitSurface::Part& b,
+                                          const std::vector<CommonNormal>& found) const {
+  if (a.spread == kInfinity || b.spread == kInfinity) return Guess::kPossible;
+  const Mat32 T = tangents(a.normal), its = R_.transpose() * T;
+  const Vec3 from = placed(b.place) - a.place;
+  const Mat2 A = T.transpose() * a.bend * T, away = Mat2::Identity() + a.normal.dot(from) * A;
+  const double singular = away.determinant();
+  if (std::abs(singular) < kFlatOfSize) return Guess::kPossible;
+  const Mat2 back = away.inverse(), turning = A * back, hessian = turning + its.transpose() * b.bend * its;
+  const double middle = 0.5 * hessian.trace(), product = hessian.determinant(),
+               half = std::sqrt(std::max(0.0, middle * middle - product)), least = middle - half;
+  if (std::min(std::abs(least), std::abs(middle + half)) * size() < kFlatOfSize) return Guess::kPossible;
+  const Vec2 aside = T.transpose() * from;
+  const Vec2 second = -hessian.inverse() * (its.transpose() * b.normal + turning * aside),
+             first = back * (second + aside);
+  if (first.norm() > kGuess * a.reach || second.norm() > kGuess * b.reach) return Guess::kNone;
+  if (least < 0.0) return Guess::kPossible;
+  const Vec3 p = a.place + T * first, x = b.place + its * second;
+  const bool known = std::any_of(found.begin(), found.end(), [&](const CommonNormal& c) {
+    return (c.first - p).norm() <= kOneGuess * a.reach && (c.second - x).norm() <= kOneGuess * b.reach;
+  });
+  return known ? Guess::kKnown : Guess::kPossible;
+}
+
+// An upper bound on the distance of the surfaces: that of two places in their cells, each the nearest one to the other.
+double CommonNormals::distance_bound() const {
+  const auto nearest = [](const ImplicitSurface& of, Vec3& x) {
+    double least = kInfinity;
+    int best = -1;
+    of.tree().near(x, kInfinity, [&](int k) {
+      const double distance = (of.parts()[static_cast<std::size_t>(k)].place - x).norm();
+      if (distance < least) best = k;
+      return least = std::min(least, distance);
+    });
+    if (best >= 0) x = of.parts()[static_cast<std::size_t>(best)].place;
+    return least;
+  };
+  Vec3 x = placed(second_->tree().nodes()[0].center());
+  double least = kInfinity;
+  for (int round = 0; round < kBoundRounds; ++round) {
+    nearest(*first_.solid, x);
+    x = R_.transpose() * (x - t_);
+    const double distance = nearest(*second_, x);
+    x = placed(x);
+    if (!(distance < least)) break;
+    least = distance;
+  }
+  return least * (1.0 + kSquareRounding);
+}
+
+void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, std::vector<CommonNormal>& found,
+                        std::vector<int>& number) const {
+  found.clear();
+  number.clear();
+  if (!t_.allFinite() || !R_.allFinite()) return;
+  const double own = size();
+  double nearest = first_.solid == nullptr ? kInfinity : distance_bound();
+  const auto limit = [&] { return std::max({nearest, reach, kDeepest * own}); };
+  const auto add = [&](const Search& s, int which) {
+    if (!s.found()) return;
+    const CommonNormal c = s.result();
+    if (!is_overlap(c)) return;
+    nearest = std::min(nearest, c.gap);
+    const bool is_new = std::none_of(found.begin(), found.end(), [&](const CommonNormal& o) {
+      const double same = own * (c.is_flat && o.is_flat ? kOneFlat : kOneNormal);
+      return (o.second - c.second).norm() <= same && (o.first - c.first).norm() <= same;
+    });
+    if (!is_new) return;
+    found.push_back(c);
+    number.push_back(which);
+  };
+  for (std::size_t k = 0; k < known.size(); ++k)
+    add(Search(*this, known[k].first, known[k].second, kInfinity), static_cast<int>(k));
+  const auto search = [&](const Vec3& p, const Vec3& x) {
+    const Search s(*this, p, x, kFarthestSlide * own);
+    add(s, -1);
+    if (!s.at_saddle()) return;
+    for (const double sign : {1.0, -1.0}) add(Search(*this, s.first_place(), s.beside(sign), kFarthestSlide * own), -1);
+  };
+  const std::vector<ImplicitSurface::Part>& parts = second_->parts();
+  if (first_.solid == nullptr) {
+    for (const ImplicitSurface::Part& b : parts) {
+      const Vec3 y = placed(b.place);
+      const double f = first_.normal.dot(y) - first_.offset;
+      const ImplicitSurface::Part a{y - f * first_.normal, first_.normal, Mat3::Zero(), b.reach, 0.0};
+      if (f - b.reach <= limit() && may_hold(a, b, kInfinity) && guess(a, b, found) == Guess::kPossible)
+        search(a.place, b.place);
+    }
+  } else {
+    const auto may = [this](std::size_t k, std::size_t l) { return may_face(k, l); };
+    first_.solid->tree().near_pairs(second_->tree(), R_, t_, kInfinity, may, [&](int i, int j) {
+      const ImplicitSurface::Part &a = first_.solid->parts()[static_cast<std::size_t>(i)],
+                                  &b = parts[static_cast<std::size_t>(j)];
+      if (may_hold(a, b, limit()) && guess(a, b, found) == Guess::kPossible) search(a.place, b.place);
+      return limit();
+    });
+  }
+  // Of those that were found before a nearer one was, only the ones within reach.
+  nearest = kInfinity;
+  for (const CommonNormal& c : found) nearest = std::min(nearest, c.gap);
+  std::size_t kept = 0;
+  for (std::size_t k = 0; k < found.size(); ++k) {
+    if (found[k].gap > std::max(reach, nearest)) continue;
+    found[kept] = found[k];
+    number[kept++] = number[k];
+  }
+  found.resize(kept);
+  number.resize(kept);
+}
+
+}  // namespace contactvi
