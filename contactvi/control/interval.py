@@ -139,7 +139,7 @@ class Interval:
         state = np.eye(n, n + n + nu), np.eye(n, n + n + nu, n)
         forces = np.hstack([np.zeros((n, 2 * n)), self._drives.forces])
         directions = {"count": 2 * n + nu, "q": state[0], "v": state[1], "tau": forces}
-        found = recorded_run(traj, self._compiled, self._taken).tangent(directions, [float(traj.t[-1])], self._taken)
+        found = recorded_run(traj, self._compiled).tangent(directions, [float(traj.t[-1])], self._taken)
         if "fact" in found:
             raise not_differentiable(traj, found)
         approximate = [step for step in dense_report(found) if step.reason]

@@ -103,7 +103,7 @@ def change_along(traj: Recorded, compiled: CompiledScene, direction: Direction, 
     Raises:
         NotDifferentiable: where there is none.
     """
-    run = recorded_run(traj, compiled, taken)
+    run = recorded_run(traj, compiled)
     found = run.tangent(direction.engine(run), list(map(float, traj.t)), taken)
     if "fact" in found:
         raise not_differentiable(traj, found)

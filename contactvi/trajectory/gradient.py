@@ -59,7 +59,7 @@ class RunGradients:
     def __init__(self, traj: Recorded, compiled: CompiledScene, wrt: Sequence[str] | str, on_kink: str) -> None:
         check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
         self._traj, self._taken, names = traj, on_kink == "taken", wanted(wrt)
-        self._run = recorded_run(traj, compiled, self._taken)
+        self._run = recorded_run(traj, compiled)
         laws = Laws(traj, self._run, compiled)
         self._picks = [_Pick(traj, compiled, laws, name) for name in names]
         self._approximate = _check_direction(traj, self._run, compiled, names, self._taken)

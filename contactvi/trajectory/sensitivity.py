@@ -18,14 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import InputError, NotDifferentiable, did_you_mean
 from contactvi.inputs import array, check_choice, real_numbers, short
 from contactvi.options import Options
-from contactvi.records.contacts import ContactLog
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
 from contactvi.scene.parameter_values import LIMITS
-from contactvi.scene.scene import Scene
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
-from contactvi.trajectory.friction_limits import held_at_limits
 from contactvi.trajectory.polynomials import Segments, SegmentsApart
 from contactvi.trajectory.poses import point_jacobians
 
@@ -47,12 +44,8 @@ class Recorded(Protocol):
     p: Array
     options: Options
     events: EventLog
-    contacts: ContactLog
     segments: Segments | SegmentsApart | None
     inputs: RunInputs | None
-
-    @property
-    def scene(self) -> Scene: ...
 
 
 @dataclass(frozen=True)
@@ -192,7 +185,7 @@ class Sensitivity:
     ) -> None:
         check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
         self._traj, self._taken = traj, on_kink == "taken"
-        self._run = recorded_run(traj, compiled, self._taken)
+        self._run = recorded_run(traj, compiled)
         self.names = wanted(wrt)
         laws = Laws(traj, self._run, compiled)
         self._directions, self.columns = _directions(traj, laws, self.names, compiled)
@@ -255,11 +248,8 @@ class Sensitivity:
             EventSensitivity(log[i].time, log[i].pair, approach, margin, guards > 1)
             for i, approach, margin, guards in entries
         )
-        kinks = [Kink(at["time"], _pair_of(self._traj, at), at["reason"]) for at in found["kinks"]]
-        if self._taken:
-            known = {kink.pair for kink in kinks}
-            kinks += [Kink(t, pair, "stick") for t, pair in _held_at_limits(self._traj) if pair not in known]
-        return SensitivityReport(events, found["growth"], dense_report(found), tuple(kinks))
+        kinks = tuple(Kink(at["time"], _pair_of(self._traj, at), at["reason"]) for at in found["kinks"])
+        return SensitivityReport(events, found["growth"], dense_report(found), kinks)
 
 
 def dense_report(found: dict[str, Any]) -> tuple[DenseStepSensitivity, ...]:
@@ -284,13 +274,8 @@ def wanted(wrt: Sequence[str] | str) -> tuple[str, ...]:
     return names
 
 
-def recorded_run(traj: Recorded, compiled: CompiledScene, taken: bool = False) -> _core.RecordedRun:
-    """Return the engine's view of a run.
-
-    Raises:
-        InputError: it has not kept what derivatives need.
-        NotDifferentiable: of the whole run; unless `taken`, because a contact sticks at the limit of its friction.
-    """
+def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
+    """Return the engine's view of a run; raise InputError where it has not kept what derivatives need."""
     from contactvi import _core
 
     inputs, segments = traj.inputs, traj.segments
@@ -318,13 +303,6 @@ def recorded_run(traj: Recorded, compiled: CompiledScene, taken: bool = False) -
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False); give "
             "ropes no damping",
         )  # fmt: skip
-    if not taken and (limits := _held_at_limits(traj)):
-        time, pair = limits[0]
-        raise NotDifferentiable(
-            "A contact sticks although its friction is at its limit", reason="stick", pair=pair, time=time,
-            expected="friction inside of its limit, or slip", got=f"all of it, t = {time:.9g} s, {pair[0]} - {pair[1]}",
-            remedy="Use cvi.directional_derivative, that of one side, or on_kink='taken', that of sticking",
-        )  # fmt: skip
     options = traj.options
     settings = {
         "t0": float(traj.t[0]), "dt": options.fixed_dt, "order": options.order, "tol": options.stage_tol,
@@ -336,10 +314,6 @@ def recorded_run(traj: Recorded, compiled: CompiledScene, taken: bool = False) -
         compiled.core, settings, dict(segments.arrays), None if events is None else dict(events), inputs.control,
         inputs.target, np.array(traj.q[-1]), np.array(traj.p[-1]), _contact_steps(inputs, compiled),
     )  # fmt: skip
-
-
-def _held_at_limits(traj: Recorded) -> list[tuple[float, tuple[str, str]]]:
-    return held_at_limits(traj.scene, traj.contacts, float(traj.t[-1]))
 
 
 def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.KeptContactSteps]:

@@ -1,5 +1,6 @@
 #include "run/contact_change.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "base/root.hpp"
@@ -9,7 +10,8 @@ namespace contactvi {
 namespace {
 constexpr double kAlpha = 1e-13;  // of a step: accuracy to which changes of contact are located
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: accurate enough for a root
-// Transitions to stick located per interval and contact or joint that may slip; the error of the others is O(h^2).
+// Transitions to stick located per interval and pair or joint that may slip; the error of the others is O(h^2). The
+// points of a pair slip and stick together, or by turns within what rounding decides.
 constexpr int kLocatedSticks = 3;
 constexpr int kMaxEvaluations = 60;      // partial steps to locate one change
 constexpr double kSameInstant = 1e-6;    // of a step: slips that end closer together end at one instant
@@ -74,13 +76,23 @@ bool ContactChangeFinder::remaining_slip(const VecX& tau, double alpha, double& 
   return true;
 }
 
+// The guard of a slip's contact, or its joint with friction, counted down from -1.
+int ContactChangeFinder::slipping_part(int slip) const {
+  const std::vector<PersistentContact>& contacts = step_->contacts();
+  const int count = static_cast<int>(contacts.size()), joints = static_cast<int>(step_->friction_joints().size());
+  if (slip >= count && slip < count + joints) return count - slip - 1;
+  return contacts[slip < count ? slip : slip - count - joints].point.guard;
+}
+
 bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
   sticking_ = stuck_ = -1;
-  if (sticks_located_ >= kLocatedSticks * step_->slips()) return true;
   const double small = kSmallSlip * (1.0 + step_->end_velocity().cwiseAbs().maxCoeff());
   ending_slips_.clear();
   for (int i = 0; i < step_->slips(); ++i)
-    if (step_->slip_ends(i)) ending_slips_.push_back(i);
+    if (step_->slip_ends(i) &&
+        std::count(sticks_located_.begin(), sticks_located_.end(), slipping_part(i)) < kLocatedSticks)
+      ending_slips_.push_back(i);
+  if (ending_slips_.empty()) return true;
   bool located = false;
   solved_ = alpha;
   for (int i : ending_slips_) {
@@ -98,7 +110,7 @@ bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
     stuck_ = i;
     located = true;
   }
-  if (located) ++sticks_located_;
+  if (located) sticks_located_.push_back(slipping_part(stuck_));
   return alpha == solved_ || step_->solve_part(*path_, alpha, run_->q, run_->p, tau);
 }
 

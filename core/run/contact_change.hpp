@@ -14,7 +14,7 @@ class ContactChangeFinder {
       : run_(&run), step_(&step), path_(&path) {}
 
   // To be called at the start of an interval: only the first ends of slips in it are located.
-  void begin_interval() { sticks_located_ = 0; }
+  void begin_interval() { sticks_located_.clear(); }
   // The first release of a contact in the contact step just solved, which ends at alpha: alpha becomes the fraction of
   // the step at which the contact force comes to zero. at_start: the force is zero at the start of the step already.
   // False if the forces could not be found.
@@ -29,6 +29,7 @@ class ContactChangeFinder {
   int stuck() const { return stuck_; }
 
  private:
+  int slipping_part(int slip) const;
   bool release_force(const VecX& tau, double alpha, double& value);
   bool remaining_slip(const VecX& tau, double alpha, double& value);
 
@@ -37,9 +38,9 @@ class ContactChangeFinder {
   const StepPath* path_;
   int stuck_ = -1;
   int releasing_ = -1, sticking_ = -1;  // contacts that the root searches look at; slips are numbered as the step does
-  int sticks_located_ = 0;
-  double solved_ = 0.0;            // the fraction of the step at which remaining_slip has solved it last
-  std::vector<int> ending_slips_;  // slips that end in the step
+  std::vector<int> sticks_located_;     // in the interval, each by the part that slipped
+  double solved_ = 0.0;                 // the fraction of the step at which remaining_slip has solved it last
+  std::vector<int> ending_slips_;       // slips that end in the step
   VecX forces_;
 };
 

@@ -371,14 +371,21 @@ void Island::count_rest(const VecX& before) {
   rest_.count(before, numbers_->q, std::as_const(*engine_).state().q, levers_, quiet);
 }
 
+std::vector<double> Island::turns() const {
+  std::vector<double> found;
+  for (const Base& base : bases_) found.push_back(base.turn);
+  return found;
+}
+
 void Island::restore_rest(const Rest& rest, const Recording& record, const VecX& mean_reactions, const VecX& tau,
-                          const MatX& target, long step) {
+                          const MatX& target, const std::vector<double>& turns, long step) {
   rest_ = rest;
   recording_ = record;
   mean_reactions_ = mean_reactions;
   tau_ = tau;
   target_ = target;
   forget_straight();
+  for (std::size_t k = 0; k < bases_.size(); ++k) bases_[k].turn = turns[k];
   passed_over_ = asleep();
   settled_ = step;
 }
@@ -427,9 +434,11 @@ void Island::tell_motion_of(int k, IslandGraph& graph) const {
 }
 
 void Island::tell_expected(double length, IslandGraph& graph) const {
-  const VecX& p = std::as_const(*engine_).state().p;
+  const RunState& state = std::as_const(*engine_).state();
+  if (asleep() || state.dense.active || !engine_->contact_step().contacts().empty()) return;
+  const VecX& p = state.p;
   for (std::size_t k = 0; k < offset_.size(); ++k) {
-    if (base_of_[k] < 0 || asleep()) continue;
+    if (base_of_[k] < 0) continue;
     const Base& base = bases_[base_of_[k]];
     if (!(base.mass > 0.0)) continue;
     const int g = numbers_->geometries[k];

@@ -101,7 +101,9 @@ class Island {
   const Rest& rest() const { return rest_; }
   // Goes back to having repeated a step whose record is this.
   void restore_rest(const Rest& rest, const Recording& record, const VecX& mean_reactions, const VecX& tau,
-                    const MatX& target, long step);
+                    const MatX& target, const std::vector<double>& turns, long step);
+  // How far what flies has turned in the last step [rad].
+  std::vector<double> turns() const;
   const VecX& tau() const { return tau_; }
   const MatX& target() const { return target_; }
   // Tells the graph how far it has moved in that step.
@@ -132,7 +134,10 @@ class Island {
   void find_bases(const StaticTrees& all);
   void find_straight(const VecX& before, double length);
   void forget_straight() {
-    for (Base& base : bases_) base.straight = false;
+    for (Base& base : bases_) {
+      base.straight = false;
+      base.turn = 0.0;
+    }
   }
   void tell_motion_of(int k, IslandGraph& graph) const;
   double motion(int k) const { return asleep() ? 0.0 : engine_->guards().motion_since(k); }

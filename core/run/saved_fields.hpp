@@ -339,8 +339,8 @@ void fields(Archive& a, Recording& x) {
 
 template <class Archive>
 void fields(Archive& a, SavedWorld::SavedIsland& x) {
-  auto& [trees, engine, rest, record, mean_reactions, tau, target] = x;
-  values(a, trees, engine, rest, record, mean_reactions, tau, target);
+  auto& [trees, engine, rest, record, mean_reactions, tau, target, turns] = x;
+  values(a, trees, engine, rest, record, mean_reactions, tau, target, turns);
 }
 
 template <class Archive>

@@ -26,6 +26,7 @@ struct SavedWorld {
     Recording record;  // of the step that an island at rest repeats
     VecX mean_reactions, tau;
     MatX target;
+    std::vector<double> turns;
   };
   std::vector<SavedIsland> islands;
 };

@@ -312,6 +312,7 @@ void World::find_still() {
 
 // Of the islands that have made the step to state_, those that have come to rest are passed over from now on.
 void World::let_sleep() {
+  if (std::none_of(awake_.begin(), awake_.end(), [](const Island* island) { return island->passed_over(); })) return;
   std::vector<Island*> awake;
   for (Island* island : awake_) {
     if (!island->passed_over()) {
@@ -322,7 +323,7 @@ void World::let_sleep() {
     island->tell_motion(graph_);
     still_changed_ = true;
   }
-  if (awake.size() < awake_.size()) set_awake(std::move(awake));
+  set_awake(std::move(awake));
 }
 
 void World::run(Island& island, double length) {
@@ -401,35 +402,36 @@ bool World::end_early(double length) {
 }
 
 void World::set_inputs(const MatX& tau, const MatX& target, long k) {
-  const auto set = [this](VecX& to, VecX&& now) {
-    wake_by_inputs(now, to);
-    to = std::move(now);
-  };
-  set(tau_, tau.rows() > 0 ? VecX(tau.row(k).transpose()) : VecX());
+  const int nv = scene_->tree.nv;
+  static const Eigen::RowVectorXd none;
+  set_input(tau.rows() > 0 ? InputRow(tau.row(k)) : InputRow(none), tau_);
   if (q_ref_.size() == 0 || target.rows() == 0) return;
-  set(q_ref_, target.row(k).head(scene_->tree.nv).transpose());
-  set(v_ref_, target.row(k).tail(scene_->tree.nv).transpose());
+  set_input(target.row(k).head(nv), q_ref_);
+  set_input(target.row(k).tail(nv), v_ref_);
 }
 
 // What lies still goes on where one of its inputs has changed, or where there were none before.
-void World::wake_by_inputs(const VecX& now, const VecX& before) {
-  if (awake_trees_ == trees_.count()) return;
-  std::vector<Island*> awake = awake_;
+void World::set_input(const InputRow& now, VecX& input) {
+  std::vector<Island*> woken;
   const auto wake = [&](Island& island) {
     if (!island.passed_over()) return;
     island.wake(state_.step);
-    awake.push_back(&island);
+    woken.push_back(&island);
   };
-  if (now.size() != before.size()) {
+  if (awake_trees_ == trees_.count()) {
+    // nothing lies still
+  } else if (now.size() != input.size()) {
     each_island(wake);
   } else {
     for (Eigen::Index d = 0; d < now.size(); ++d)
-      if (now[d] != before[d]) wake(*island_of_tree_[trees_.of_joint(scene_->tree.dof_joint[d])]);
+      if (now[d] != input[d]) wake(*island_of_tree_[trees_.of_joint(scene_->tree.dof_joint[d])]);
   }
-  if (awake.size() == awake_.size()) return;
+  input = now.transpose();
+  if (woken.empty()) return;
   find_motion();
   still_changed_ = true;
-  set_awake(std::move(awake));
+  woken.insert(woken.end(), awake_.begin(), awake_.end());
+  set_awake(std::move(woken));
   graph_.end_clear();
 }
 
@@ -549,7 +551,7 @@ std::shared_ptr<const SavedWorld> World::save() {
     if (asleep) island.settle(state_.step);
     saved->islands.push_back({island.trees(), island.engine().save(), island.rest(),
                               asleep ? island.recording() : Recording(), asleep ? island.mean_reactions() : VecX(),
-                              island.tau(), island.target()});
+                              island.tau(), island.target(), island.turns()});
   });
   return saved;
 }
@@ -574,7 +576,7 @@ void World::restore(const SavedWorld& saved) {
   for (const SavedWorld::SavedIsland& from : saved.islands) {
     Island& island = island_of(from.trees);
     island.engine().restore(*from.engine);
-    island.restore_rest(from.rest, from.record, from.mean_reactions, from.tau, from.target, state_.step);
+    island.restore_rest(from.rest, from.record, from.mean_reactions, from.tau, from.target, from.turns, state_.step);
     island.join_graph(graph_);
     for (int tree : from.trees) {
       island_of_tree_[tree] = &island;

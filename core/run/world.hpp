@@ -85,7 +85,8 @@ class World {
   void set_awake(std::vector<Island*> awake);
   void find_still();
   void let_sleep();
-  void wake_by_inputs(const VecX& now, const VecX& before);
+  using InputRow = Eigen::Ref<const Eigen::RowVectorXd, 0, Eigen::InnerStride<>>;
+  void set_input(const InputRow& now, VecX& input);
   void run(Island& island, double length);
   void run_interval(double length);
   void join_met(double t);

@@ -119,37 +119,3 @@ def test_a_pushed_box_comes_to_rest_on_four_corners_at_once(order: int, e: float
         turned = pin.log3(pin.Quaternion(run.q[-1, 3:7]).matrix())
         exact[:2] = pin.exp3(turned)[:2, :2] @ exact[:2]
         np.testing.assert_allclose(exact, (box[0] - box[1]) / (2 * step), rtol=0.0, atol=1e-5)
-
-
-def pushed_box(part: float, order: int) -> cvi.Trajectory:
-    """A box on the ground that is pushed by a part of what its friction holds, at the height of the ground."""
-    scene = cvi.Scene()
-    scene.add_halfspace()
-    scene.add_box("box", (0.2, 0.2, 0.1), mass=1.0, placement=(0, 0, 0.05))
-    scene.set_contact(friction=0.4, restitution=0.0)
-    push = 0.4 * 9.81 * part
-    control = np.tile([push, 0, 0, 0, -0.05 * push, 0], (20, 1))
-    return cvi.simulate(scene, duration=0.2, dt=0.01, order=order, control=control, record="gradient")
-
-
-@pytest.mark.parametrize("order", [2, 4, 8])
-def test_friction_that_just_holds_a_box_is_a_kink(order: int) -> None:
-    """More force makes it slip, less does not: the derivative of one side is not given for that of both."""
-    run = pushed_box(1.0, order)
-    names = ["control", "friction"]
-    for ask in (
-        lambda: run.sensitivity(names),
-        lambda: run.gradient((np.ones(6), np.ones(6)), names),
-    ):
-        with pytest.raises(cvi.NotDifferentiable, match="directional_derivative|Start elsewhere") as error:
-            ask()
-        assert error.value.reason in ("stick", "friction")
-    taken = run.sensitivity(names, on_kink="taken")
-    assert [kink.pair for kink in taken.report.kinks if kink.reason == "stick"] == [("ground", "box")]
-
-
-@pytest.mark.parametrize("order", [4, 8])
-@pytest.mark.parametrize("part", [0.0, 0.5, 1.0 - 1e-6])
-def test_friction_inside_of_its_limit_is_none(part: float, order: int) -> None:
-    run = pushed_box(part, order)
-    assert np.abs(run.sensitivity(["control"]).matrix[-1]).max() <= 1e-9
