@@ -177,7 +177,13 @@ def gears_with_play(runs: Runs) -> list[Check]:
             1e-8,
             "gaps of 1e-9 m",
         ),
-        near("play until the wheels hit [rad]", before[0] - touching, speed * reversed_.events[0].time, 1e-9, "a root"),
+        near(
+            "play until the wheels hit [rad]",
+            before[0] - touching,
+            speed * reversed_.events[0].time,
+            1e-9,
+            "a root of the engine's gap",
+        ),
     ]
 
 

@@ -12,10 +12,6 @@ namespace contactvi {
 namespace {
 
 constexpr double kEps = std::numeric_limits<double>::epsilon();
-// Shift of a contact's own matrix, a share of its largest diagonal. The sweeps subtract the same matrix from w, so that
-// their fixed points are those of the unshifted law; a direction that joints leave immobile changes by rounding over
-// the shift, 1e-6 of the impulses, and moves nothing.
-constexpr double kOwnShift = 1e-10;
 // Share of the shift of the natural map's derivative that small friction may add: the cone's dual coordinates stretch
 // the normal by 1/mu, hence the stiffness of a closed contact by 1/mu^2.
 constexpr double kLargestShift = 1e-4;

@@ -38,6 +38,11 @@ struct ConePoint {
   double residual = 0.0;  // of the law, over the scale of speeds
 };
 
+// Shift of a contact's own matrix, a share of its largest diagonal. The sweeps subtract the same matrix from w, so that
+// their fixed points are those of the unshifted law; a direction that joints leave immobile changes by rounding over
+// the shift, 1e-6 of the impulses, and moves nothing.
+constexpr double kOwnShift = 1e-10;
+
 inline bool is_box(const BlockContact& c) { return c.box > 0.0; }
 inline bool has_friction(const BlockContact& c) { return c.rows == 3 && c.mu > 0.0; }
 inline bool has_gap(const BlockContact& c) { return c.of < 0 && !is_box(c); }

@@ -4,16 +4,17 @@
 #include <algorithm>
 #include <cmath>
 
+#include "cone/block_law.hpp"
+
 namespace contactvi {
 
 namespace {
 
-constexpr double kOwnTurningShift = 1e-10;  // of the own matrix, as that of a contact without turning (block_law.cpp)
-constexpr double kLocalShift = 1e-12;       // of the natural map's derivative, where the own matrix is shifted besides
-constexpr int kLocalSteps = 40;             // of Newton's method, or projected ones
-constexpr int kLocalHalvings = 4;           // of a step
-constexpr double kLocalSolved = 1e-13;      // of the velocities
-constexpr double kLocalDecrease = 1e-3;     // share of the expected decrease of the merit that is asked for
+constexpr double kLocalShift = 1e-12;    // of the natural map's derivative, where the own matrix is shifted besides
+constexpr int kLocalSteps = 40;          // of Newton's method, or projected ones
+constexpr int kLocalHalvings = 4;        // of a step
+constexpr double kLocalSolved = 1e-13;   // of the velocities
+constexpr double kLocalDecrease = 1e-3;  // share of the expected decrease of the merit that is asked for
 
 // One kind of friction: its first row and number of rows, the radius of its ball by the normal impulse, its scale.
 template <int N>
@@ -94,7 +95,7 @@ Vec6 projected_step(const BlockContact& c, const TurningMatrix& m, const Vec6& b
 
 void TurningMatrix::finish(double floor) {
   const double largest = std::max(G.diagonal().maxCoeff(), floor);
-  G.diagonal().array() += kOwnTurningShift * largest;
+  G.diagonal().array() += kOwnShift * largest;
   normal = std::max(G(0, 0), floor);
   slip = std::max(largest_sum(G, 1, 3), floor);
   rolling = std::max(largest_sum(G, 4, 2), floor);

@@ -111,10 +111,9 @@ bool ContactTangent::take_point(const ContactPoint& p) {
 
 bool ContactTangent::take_solids(const ContactPoint& p) {
   const SolidPair solids(*scene_, p.guard, twists_.placements());
-  const CommonNormal near{contact_.gap, Vec3::Zero(), SolidPair::in_surface(solids.first(), p.origin_B),
-                          SolidPair::in_surface(solids.second(), p.center_B), false};
   Mat3 bends[2];
-  if (!solids.normals().bends(near, bends[0], bends[1])) return refuse("the curvature of two solids is not known");
+  if (!solids.normals().bends(solids.known(p.origin_B, p.center_B), bends[0], bends[1]))
+    return refuse("the curvature of two solids is not known");
   for (int k = 0; k < 2; ++k) {
     const int side = (k == 1) == p.on_b ? 1 : 0;
     const Mat3& R = solids.first_pose().R;

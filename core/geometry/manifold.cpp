@@ -10,8 +10,19 @@
 #include "geometry/line_contact.hpp"
 #include "geometry/nearest_features.hpp"
 #include "geometry/solid_pair.hpp"
+#include "geometry/surface_frame.hpp"
 
 namespace contactvi {
+
+void set_contact(const ContactPoint& p, const Vec3& n, const Vec3& lowest, double gap, Contact& contact) {
+  const Vec3 on_other = lowest - p.radius * n, on_plane = on_other - gap * n;
+  contact.gap = gap;
+  contact.normal = p.on_b ? n : Vec3(-n);
+  contact.point_a = p.on_b ? on_plane : on_other;
+  contact.point_b = p.on_b ? on_other : on_plane;
+  contact.body_a = p.on_b ? p.plane_body : p.point_body;
+  contact.body_b = p.on_b ? p.point_body : p.plane_body;
+}
 
 namespace {
 
@@ -144,16 +155,6 @@ Vec3 point_B(const Placements& at, int body, const Vec3& x_W) {
 }
 Vec3 turned_B(const Placements& at, int body, const Vec3& x_W) {
   return body < 0 ? x_W : Vec3(at.R_W[body].transpose() * x_W);
-}
-
-void set_contact(const ContactPoint& p, const Vec3& n, const Vec3& lowest, double gap, Contact& contact) {
-  const Vec3 on_other = lowest - p.radius * n, on_plane = on_other - gap * n;
-  contact.gap = gap;
-  contact.normal = p.on_b ? n : Vec3(-n);
-  contact.point_a = p.on_b ? on_plane : on_other;
-  contact.point_b = p.on_b ? on_other : on_plane;
-  contact.body_a = p.on_b ? p.plane_body : p.point_body;
-  contact.body_b = p.on_b ? p.point_body : p.plane_body;
 }
 
 // Gap of a point fixed to point_body, swept by the radius, against the plane.
@@ -325,14 +326,6 @@ const Geometry* Manifolds::surface_of(int pair) const {
 
 namespace {
 
-Pose pose_of_surface(const Geometry& g, const Placements& at) {
-  const Pose body = pose_of(g.body, at);
-  return {body.R * g.R_BG, body.point(g.p_BG)};
-}
-
-// From the frame of the body of a surface into its own.
-Vec3 in_surface(const Geometry& g, const Vec3& x_B) { return g.R_BG.transpose() * (x_B - g.p_BG); }
-
 // Of the distance, and [m]: feet that are no farther from each other are one.
 constexpr double kSameFoot = 1e-5, kSameFootLength = 1e-9;
 
@@ -387,84 +380,6 @@ void Manifolds::list_feet(int pair, const PairView& v, CandidateSink& sink) {
                 surface.point(feet[k].of(x))});
     }
   }
-}
-
-// The least common normal, and those within the limit of the sink. They begin with those of persistent points.
-void Manifolds::list_common_normals(int pair, const Placements& at, CandidateSink& sink) {
-  const SolidPair solids(*scene_, pair, at);
-  const Feature kind = solids.second_is_b() ? Feature::kSolidsB : Feature::kSolidsA;
-  std::vector<int> taken;
-  known_normals_.clear();
-  for (const KnownFoot& known : known_feet_) {
-    if (known.pair != pair) continue;
-    taken.push_back(feature_j(known.feature));
-    known_normals_.push_back({0.0, Vec3::Zero(), known.place, known.second, false});
-  }
-  // Beside persistent points the next one is looked for within a cell where nothing says how far it matters.
-  const double unsaid = known_normals_.empty() ? 0.0 : solids.second().solid->size();
-  const double reach = std::isfinite(sink.limit) ? std::max(sink.limit, 0.0) : unsaid;
-  solids.normals().all(known_normals_, reach, common_normals_, known_numbers_);
-  feet_.clear();
-  common_features_.clear();
-  listed_pair_ = pair;
-  int free = 0;
-  for (std::size_t k = 0; k < common_normals_.size(); ++k) {
-    const CommonNormal& c = common_normals_[k];
-    while (std::find(taken.begin(), taken.end(), free) != taken.end()) ++free;
-    const int number = known_numbers_[k] < 0 ? free++ : taken[static_cast<std::size_t>(known_numbers_[k])];
-    common_features_.push_back(feature_number(kind, 0, number));
-    if (!(c.gap > sink.limit)) sink.add({common_features_.back(), c.gap, solids.second_pose().point(c.second)});
-  }
-  if (common_normals_.empty()) feet_.push_back({kNaN, Vec3::UnitZ()});
-}
-
-ContactPoint Manifolds::make_solids_point(int pair, const SolidPair& solids, std::int64_t feature,
-                                          const CommonNormal& c) const {
-  ContactPoint p{};
-  p.guard = pair;
-  p.feature = feature;
-  p.kind = PointKind::kSolids;
-  p.on_b = solids.second_is_b();
-  p.point_body = solids.second().body;
-  p.plane_body = solids.first().body;
-  p.center_B = SolidPair::in_body(solids.second(), c.second);
-  p.origin_B = SolidPair::in_body(solids.first(), c.first);
-  return p;
-}
-
-void Manifolds::solids_gap(const ContactPoint& p, const Placements& at, Contact& contact) const {
-  const SolidPair solids(*scene_, p.guard, at);
-  CommonNormal c{kNaN, Vec3::UnitZ(), SolidPair::in_surface(solids.first(), p.origin_B),
-                 SolidPair::in_surface(solids.second(), p.center_B), false};
-  if (!solids.normals().near(c, c)) c.gap = kNaN;
-  set_contact(p, solids.first_pose().R * c.normal, solids.second_pose().point(c.second), c.gap, contact);
-}
-
-// That of a common normal which was listed last, or belongs to a persistent point.
-ContactPoint Manifolds::listed_point(int pair, const Placements& at, std::int64_t feature) const {
-  const SolidPair solids(*scene_, pair, at);
-  const auto listed = std::find(common_features_.begin(), common_features_.end(), feature);
-  if (pair == listed_pair_ && listed != common_features_.end())
-    return make_solids_point(pair, solids, feature,
-                             common_normals_[static_cast<std::size_t>(listed - common_features_.begin())]);
-  CommonNormal c{};
-  for (const KnownFoot& known : known_feet_)
-    if (known.pair == pair && known.feature == feature) c = {0.0, Vec3::Zero(), known.place, known.second, false};
-  return make_solids_point(pair, solids, feature, c);
-}
-
-// Whether a persistent point of two solids has come to where another one is, which has a lower number.
-bool Manifolds::has_merged(const ContactPoint& point, const Placements& at) const {
-  Contact own;
-  evaluate(point, at, own);
-  const SolidPair solids(*scene_, point.guard, at);
-  return std::any_of(known_feet_.begin(), known_feet_.end(), [&](const KnownFoot& known) {
-    if (known.pair != point.guard || known.feature >= point.feature) return false;
-    CommonNormal c{};
-    if (!solids.normals().near({0.0, Vec3::Zero(), known.place, known.second, false}, c)) return false;
-    const Vec3& x = point.on_b ? own.point_b : own.point_a;
-    return (solids.second_pose().point(c.second) - x).norm() < kSamePlace;
-  });
 }
 
 // Of the foot of a vertex that belongs to a persistent point; -1: to none.
@@ -864,17 +779,7 @@ double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Co
 }
 
 void Manifolds::update_moving(ContactPoint& point, const Placements& at) {
-  if (point.kind == PointKind::kSolids) {
-    const SolidPair solids(*scene_, point.guard, at);
-    CommonNormal c{0.0, Vec3::Zero(), SolidPair::in_surface(solids.first(), point.origin_B),
-                   SolidPair::in_surface(solids.second(), point.center_B), false};
-    if (!solids.normals().near(c, c)) return;
-    point = make_solids_point(point.guard, solids, point.feature, c);
-    for (KnownFoot& known : known_feet_)
-      if (known.pair == point.guard && known.feature == point.feature)
-        known = {known.pair, known.feature, c.first, c.second};
-    return;
-  }
+  if (point.kind == PointKind::kSolids) return move_on_solids(point, at);
   if (point.kind == PointKind::kSurface && has_feet(point.guard)) {
     Contact contact;
     evaluate(point, at, contact);

@@ -91,6 +91,9 @@ inline bool same_point(const ContactPoint& a, const ContactPoint& b) {
   return a.guard == b.guard && a.kind == b.kind && a.feature == b.feature;
 }
 
+// The contact of a point: n from the plane's side, `lowest` the place of the point's core next to it, world.
+void set_contact(const ContactPoint& p, const Vec3& n, const Vec3& lowest, double gap, Contact& contact);
+
 class SolidPair;
 
 class Manifolds {
@@ -187,6 +190,7 @@ class Manifolds {
   void list_feet(int pair, const PairView& v, CandidateSink& sink);
   int number_of_foot(const FunctionSurface& surface, int pair, int vertex, const Vec3& point, const Vec3& place) const;
   void list_common_normals(int pair, const Placements& at, CandidateSink& sink);
+  void move_on_solids(ContactPoint& point, const Placements& at);
   ContactPoint make_solids_point(int pair, const SolidPair& solids, std::int64_t feature, const CommonNormal& c) const;
   void solids_gap(const ContactPoint& p, const Placements& at, Contact& contact) const;
   ContactPoint listed_point(int pair, const Placements& at, std::int64_t feature) const;

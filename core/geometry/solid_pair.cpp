@@ -8,11 +8,6 @@ namespace {
 
 bool is_halfspace(const Geometry& g) { return g.unbounded && !g.surface; }
 
-Pose surface_pose(const Geometry& g, const Placements& at) {
-  const Pose body = pose_of(g.body, at);
-  return {body.R * g.R_BG, body.point(g.p_BG)};
-}
-
 CommonNormals normals_between(const Geometry& first, const Geometry& second, const Pose& one, const Pose& other) {
   return {{first.solid.get(), first.halfspace_normal, first.halfspace_offset},
           *second.solid,
@@ -32,8 +27,8 @@ SolidPair::SolidPair(const Scene& scene, int pair, const Placements& at)
     : second_is_b_(scene.geometries[scene.pairs[pair].b].solid != nullptr),
       first_(&scene.geometries[second_is_b_ ? scene.pairs[pair].a : scene.pairs[pair].b]),
       second_(&scene.geometries[second_is_b_ ? scene.pairs[pair].b : scene.pairs[pair].a]),
-      first_pose_(surface_pose(*first_, at)),
-      second_pose_(surface_pose(*second_, at)),
+      first_pose_(pose_of_surface(*first_, at)),
+      second_pose_(pose_of_surface(*second_, at)),
       normals_(normals_between(*first_, *second_, first_pose_, second_pose_)) {}
 
 }  // namespace contactvi

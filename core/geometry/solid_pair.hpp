@@ -1,7 +1,8 @@
 // A pair of two solids, or of a solid and a halfspace, as it is placed: their common normals.
 #pragma once
 
-#include "geometry/contact_features.hpp"
+#include "base/numerics.hpp"
+#include "geometry/surface_frame.hpp"
 #include "model/common_normals.hpp"
 #include "model/scene.hpp"
 
@@ -17,12 +18,10 @@ class SolidPair {
   const CommonNormals& normals() const { return normals_; }
   // Which shape is the second one, on which places are looked for: b, unless that is a halfspace.
   bool second_is_b() const { return second_is_b_; }
-  int first_body() const { return first_->body; }
-  int second_body() const { return second_->body; }
-  bool first_is_solid() const { return first_->solid != nullptr; }
-  // From the frame of the first or second surface to that of its body, and back.
-  static Vec3 in_body(const Geometry& g, const Vec3& x) { return g.p_BG + g.R_BG * x; }
-  static Vec3 in_surface(const Geometry& g, const Vec3& x_B) { return g.R_BG.transpose() * (x_B - g.p_BG); }
+  // The common normal near places that are fixed to the bodies.
+  CommonNormal known(const Vec3& first_B, const Vec3& second_B) const {
+    return {kNaN, Vec3::UnitZ(), in_surface(*first_, first_B), in_surface(*second_, second_B), false};
+  }
   const Geometry& first() const { return *first_; }
   const Geometry& second() const { return *second_; }
   const Pose& first_pose() const { return first_pose_; }

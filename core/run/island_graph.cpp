@@ -66,7 +66,8 @@ void IslandGraph::set_active(std::vector<int> geometries) {
 void IslandGraph::restart(const std::vector<double>& motion, const MatX& straight) {
   set_active(movable_);
   motion_ = motion;
-  straight_ = straight;
+  straight_.setConstant(4, static_cast<Eigen::Index>(inverse_.size()), kNaN);
+  if (straight.size() > 0) straight_ = straight;
   approaching_.clear();
   knows_motion_ = true;
   room_ = used_ = largest_ = last_ = 0.0;

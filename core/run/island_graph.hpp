@@ -20,7 +20,7 @@ class IslandGraph {
   IslandGraph(const StaticTrees& trees, Guards& guards);
 
   // Forgets where everything is, and takes all for active; motion, straight: of each geometry in the next interval, as
-  // of set_motion and set_straight, NaN where it has none.
+  // of set_motion and straight(); empty: none is known.
   void restart(const std::vector<double>& motion, const MatX& straight);
   // From now on only these geometries move, until other ones are named. Of the others the odometer is to be right and
   // the motion zero.

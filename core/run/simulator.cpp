@@ -15,6 +15,9 @@ constexpr int kMostHalvings = 4000;   // of the free steps within one interval
 constexpr long kReported = 64;        // steps between two reports of progress
 // Of an interval: what is left of it after a smooth step that ends within is no step of its own.
 constexpr double kRounding = 1e-13;
+// Two solutions of a step are one where their momenta differ by no more than these parts of what the step changes, and
+// of the momenta themselves: equations are solved to less, other solutions differ by more.
+constexpr double kSameSolution = 1e-6, kSameMomenta = 1e-10;
 
 // Whether some force dissipates energy.
 bool dissipates(const Tree& tree) {
@@ -404,6 +407,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     if (truncation_.too_long || learns || scene_->tree.elements.user_failed()) return false;
     return shorten_step(h, at);
   }
+  const long iterations = integrator_.counters.stage_iterations;
   const auto reject = [&] {  // solve_smooth_step has accepted the step
     integrator_.forget();
     return shorten_step(h, at);
@@ -462,9 +466,8 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   }
   if (found != Search::kNone) return end_failed_search(found, at);
   // The search may have solved parts of the step: its impulses are to be those of the whole.
-  if ((holds || keeps_held_steps()) && integrator_.length() != h &&
-      !integrator_.solve_part(path_, 1.0, state_.q, state_.p, interval.tau))
-    return reject();
+  const bool searched = integrator_.counters.stage_iterations != iterations;
+  if (searched && (holds || keeps_held_steps()) && !solve_again(h, interval.tau)) return reject();
   if (holds) {
     if (sinks_deeper(recording, at + h)) return reject();
     if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
@@ -498,6 +501,17 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   // Each part of a step that was cut counts as a step of its own.
   if (interval.remaining > 0.0) law_->start_step(free_state(interval.start + interval.done), state_.reference);
   return true;
+}
+
+// Solves the step of length h to (q1_, p1_) once more, after parts of it along path_. False: it is not solved, or from
+// these start values it has another solution, as steps may have in which several contacts slip: its impulses would not
+// be those of the motion.
+bool Simulator::solve_again(double h, const VecX& tau) {
+  if (integrator_.length() != h && !integrator_.solve_part(path_, 1.0, state_.q, state_.p, tau)) return false;
+  VecX q(q1_.size()), p(p1_.size());
+  integrator_.finish(q, p);
+  return (p - p1_).cwiseAbs().maxCoeff() <=
+         kSameSolution * (p1_ - state_.p).cwiseAbs().maxCoeff() + kSameMomenta * p1_.cwiseAbs().maxCoeff();
 }
 
 StepEnergy Simulator::step_energy() {

@@ -193,6 +193,7 @@ class Simulator {
   bool advance_free(Interval& interval, long halved, Recording& recording);
   bool take_event(Interval& interval, double h, bool shorter, Recording& recording);
   // Of the step just solved, from the state to q1_, p1_.
+  bool solve_again(double h, const VecX& tau);
   StepEnergy step_energy();
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
   void start_recording(const Progress& progress, Recording& recording);

@@ -11,7 +11,6 @@ namespace contactvi {
 
 class StillIslands {
  public:
-  bool empty() const { return islands_.empty(); }
   // From now on they are these, in the order of their first trees; they have just made their last step, or made it
   // before.
   void set(std::vector<Island*> islands);

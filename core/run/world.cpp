@@ -63,21 +63,6 @@ Status World::reset(const VecX& q, const VecX& v, double t) {
   return status;
 }
 
-// Where the translations of bodies without parents carry geometries in an interval with the velocities v [m, world],
-// (4, geometries); NaN: nothing does.
-MatX World::straight_paths(const VecX& v) const {
-  const Tree& tree = scene_->tree;
-  MatX found = MatX::Constant(4, static_cast<Eigen::Index>(scene_->geometries.size()), kNaN);
-  for (std::size_t g = 0; g < scene_->geometries.size(); ++g) {
-    int j = scene_->geometries[g].body;
-    while (j >= 0 && tree.joints[j].parent >= 0) j = tree.joints[j].parent;
-    if (j < 0 || tree.joints[j].type != JointType::kTranslation) continue;
-    found.col(static_cast<Eigen::Index>(g)) << options_.dt * (tree.joints[j].R_PJ * v.segment<3>(tree.joints[j].iv)),
-        0.0;
-  }
-  return found;
-}
-
 // From the state of the whole engine to islands. v: velocities at that state.
 void World::divide(const VecX& v) {
   const RunState& from = std::as_const(whole_).state();
@@ -95,7 +80,7 @@ void World::divide(const VecX& v) {
   whole_.guards().bound_motion(state_.q, speed, options_.dt);
   std::vector<double> motion(scene_->geometries.size());
   for (std::size_t g = 0; g < motion.size(); ++g) motion[g] = whole_.guards().motion_of_geometry(static_cast<int>(g));
-  graph_.restart(motion, straight_paths(v));
+  graph_.restart(motion, {});
   q_ref_.resize(0);
   v_ref_.resize(0);
   if (scene_->tree.elements.servo_kp.size() > 0) {

@@ -72,7 +72,6 @@ class World {
   bool may_divide() const;
   void divide(const VecX& v);
   void leave_islands();
-  MatX straight_paths(const VecX& v) const;
   void unite();
   Island& island_of(const std::vector<int>& trees);
   void forget_unused();

@@ -90,9 +90,45 @@ def drawn(seed: int) -> tuple[cvi.Scene, np.ndarray, np.ndarray, dict[str, objec
     return scene, np.array(q), np.array(v), {"duration": 1.0, "order": order, "dt": {2: 2e-3, 4: 5e-3, 8: 1e-2}[order]}
 
 
-# Seeds of the long test where the energy balance of a run with adhesion misses what is lost in one step (1e-3 J and
-# 3e-6 J), in which a contact begins.
-KNOWN = {1010, 1270}
+# Ends of slips of a pair in a step that a run locates.
+LOCATED = 3
+LARGEST_FRICTION = 0.8 * 1.6  # of the laws that are drawn
+
+
+def given_by_friction(traj: cvi.Trajectory) -> np.ndarray:
+    """Return how much friction may give in each step of a run [J], because ends of slips are not located, (steps,).
+
+    The work of a friction impulse is that of the mean of the slips before and after it, as kinetic energy has it. Where
+    a slip w ends in a contact step and that is not located, the impulse that holds the contact from then on is part of
+    the one at the start of the step: its work is I.w / 2 of any sign, though a contact at rest has none. What stops
+    within the step is stopped by friction, w <= G (2 mu N), with the impulses N on the body and its inverse mass G at
+    the contact, and I <= mu N: that is less than G (mu N)^2, of order h^2.
+    """
+    found = np.zeros(len(traj.t) - 1)
+    ends: dict[tuple[str, str], list[float]] = {}
+    for change in traj.contact_changes:
+        if change.change == "stick":
+            ends.setdefault(change.pair, []).append(change.time)
+    unlocated = np.zeros(len(traj.t) - 1, dtype=bool)
+    for times in ends.values():
+        unlocated |= np.histogram(times, traj.t)[0] > LOCATED
+    mobility = max(
+        1.0 / body.mass + 0.15**2 / np.linalg.eigvalsh(body.inertia)[0] for body in list(traj.scene.model.inertias)[1:]
+    )
+    t, h = traj.contacts.array("t"), traj.contacts.array("h")
+    size = np.linalg.norm(traj.contacts.array("start"), axis=1)
+    for k in np.flatnonzero(unlocated):
+        inside = (h > 0.0) & (t >= traj.t[k]) & (t < traj.t[k + 1])
+        for start in np.unique(t[inside]):
+            found[k] += mobility * (LARGEST_FRICTION * size[inside & (t == start)].sum()) ** 2
+    return found
+
+
+# A seed of the long test in which a slip that passes rest at 1.5 mm/s, and turns, is taken for one that comes to rest:
+# its energy of 2.7e-6 J is in no account.
+KNOWN = {1270}
+# One in which a step of two slipping points has two solutions: its impulses are to be those of its motion.
+TWO_SOLUTIONS = 1010
 
 
 def dense_errors(traj: cvi.Trajectory) -> np.ndarray:
@@ -109,7 +145,7 @@ def examine(seed: int) -> tuple[bool, list[str]]:
     traj = cvi.simulate(scene, q, v, throw=False, **options)
     wrong = []
     scale = 1.0 + float(np.max(np.abs(traj.kinetic_energy)))
-    given = -np.diff(traj.friction_loss) - dense_errors(traj)
+    given = -np.diff(traj.friction_loss) - given_by_friction(traj) - dense_errors(traj)
     if given.size and given.max() > 1e-9 * scale:
         wrong.append(f"friction gives {given.max():.2g} J")
     loss = np.array([event.loss for event in traj.events])
@@ -127,7 +163,7 @@ def examine(seed: int) -> tuple[bool, list[str]]:
     return traj.status.ok, wrong
 
 
-@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("seed", [*range(SEEDS), TWO_SOLUTIONS])
 def test_drawn_laws(seed: int) -> None:
     """Losses are losses, energies balance and nothing overlaps."""
     ended, wrong = examine(seed)

@@ -1,0 +1,105 @@
+// DenseStep: what the surfaces of its contacts have besides Coulomb's law with one number: friction that depends on the
+// slip, surfaces that move along themselves, adhesion.
+#include <algorithm>
+
+#include "base/tolerances.hpp"
+#include "contact/dense_step.hpp"
+
+namespace contactvi {
+
+// The adhesion of the present problem: of the points that touch at the start of the step, unless they separate faster
+// than the pull could stop within it.
+void DenseStep::set_pulls() {
+  adheres_ = false;
+  std::vector<DenseContact>& all = candidates_.contacts();
+  for (DenseContact& c : all) c.pull.setZero();
+  if (std::none_of(scene_->laws.begin(), scene_->laws.end(), [](const ContactLaw& law) { return law.adheres(); }))
+    return;
+  pull_.setZero(rows_.problem().rows());
+  // Of a pair, or of a body (below zero): what it pulls with at a time, and the points that share it.
+  const auto touches = [&](const DenseContact& c) {
+    return c.at0.gap <= std::max(DenseCandidates::kGapPromised, candidates_.noise(c.point.guard));
+  };
+  const auto share = [&](const NumberFunction& pull, const auto& has) {
+    std::vector<std::size_t> points;
+    for (std::size_t i = 0; i < active_.size(); ++i)
+      if (const ContactLaw* law = scene_->law(all[active_[i]].point.guard); law != nullptr && touches(all[active_[i]]))
+        if (has(all[active_[i]].point.guard, *law)) points.push_back(i);
+    for (const std::size_t i : points)
+      for (int end = 0; end < 2; ++end)
+        all[active_[i]].pull[end] += 0.5 * h_ * std::max(0.0, pull(t_ + end * h_)) / static_cast<double>(points.size());
+  };
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    const int guard = all[active_[i]].point.guard;
+    const ContactLaw* law = scene_->law(guard);
+    const auto same = [&](int k) { return all[k].point.guard == guard; };
+    if (law == nullptr || !law->pull.given() || std::any_of(active_.begin(), active_.begin() + i, same)) continue;
+    share(law->pull, [guard](int other, const ContactLaw&) { return other == guard; });
+  }
+  for (int body = 0; body < static_cast<int>(scene_->body_pulls.size()); ++body)
+    share(scene_->body_pulls[static_cast<std::size_t>(body)],
+          [body](int, const ContactLaw& law) { return law.body_pulls[0] == body || law.body_pulls[1] == body; });
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    DenseContact& c = all[active_[i]];
+    if (rows_.velocity(i, 0, v0_) > c.pull.sum() * mobility_[i]) c.pull.setZero();
+    pull_[rows_.block(i).row] = c.pull[0];
+    adheres_ |= c.pull.sum() > 0.0;
+  }
+}
+
+// Friction that depends on the slip is that of its speed at the start of the step.
+void DenseStep::set_friction() {
+  if (scene_->laws.empty()) return;
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    DenseContact& c = candidates_.contacts()[active_[i]];
+    const int guard = c.point.guard;
+    if (c.rows() == 1 || !scene_->friction_varies(guard)) continue;
+    const Eigen::Vector2d w(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_));
+    const double slip = c.frame(false).slip(w + c.drift0).norm();
+    const bool sticks = slip <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+    c.mu = sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, slip);
+    rows_.problem().contacts[i].mu = c.mu;
+  }
+}
+
+// What surfaces that move along themselves add to the tangential velocities of a contact, where the bodies are placed.
+Eigen::Vector2d DenseStep::drift(const DenseContact& c, bool at_end) {
+  if (scene_->surface_motions.empty() || !guards_->moves(c.point.guard)) return Eigen::Vector2d::Zero();
+  return at_end ? guards_->surface_velocity(c.point.guard, c.at1, c.t1_1, t_ + h_)
+                : guards_->surface_velocity(c.point.guard, c.at0, c.t1_0, t_);
+}
+
+// The same of its turning friction.
+Vec3 DenseStep::turning_drift(const DenseContact& c, bool at_end) {
+  Vec3 found = Vec3::Zero();
+  if (!c.turns() || scene_->surface_motions.empty() || !guards_->moves(c.point.guard)) return found;
+  VecX rates(scene_->law(c.point.guard)->turning_rows());
+  guards_->surface_turning(c.point.guard, at_end ? c.at1 : c.at0, at_end ? c.t1_1 : c.t1_0, at_end ? t_ + h_ : t_,
+                           rates);
+  if (c.spinning > 0.0) found[0] = rates[0];
+  if (c.rolling > 0.0) found.tail<2>() = rates.tail<2>();
+  return found;
+}
+
+bool DenseStep::any_surface_moves() const {
+  return !scene_->surface_motions.empty() &&
+         std::any_of(contacts().begin(), contacts().end(),
+                     [this](const DenseContact& c) { return guards_->moves(c.point.guard); });
+}
+
+// Adhesion acts to the end of the step also where a contact has opened within it: with half of it the energy would
+// rise.
+void DenseStep::pull_at_end() {
+  const std::vector<DenseContact>& all = contacts();
+  lasting_.clear();
+  for (int i = 0; i < static_cast<int>(all.size()); ++i)
+    if (all[i].pull[1] > 0.0) lasting_.push_back(i);
+  end_rows_.set(all, lasting_, true, guards_->placements(), h_);
+  VecX impulses = VecX::Zero(end_rows_.problem().rows());
+  for (std::size_t k = 0; k < lasting_.size(); ++k) impulses[end_rows_.block(k).row] = -all[lasting_[k]].pull[1];
+  end_rows_.add_impulses(impulses, p1_);
+  v1_ = p1_;
+  integrator_.solve_mass(v1_);
+}
+
+}  // namespace contactvi
