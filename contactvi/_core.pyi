@@ -743,6 +743,15 @@ class SimulatorOptions:
     def islands(self, arg: bool, /) -> None: ...
 
     @property
+    def threads(self) -> int:
+        """
+        Threads that advance islands side by side; results do not depend on it.
+        """
+
+    @threads.setter
+    def threads(self, arg: int, /) -> None: ...
+
+    @property
     def contact_steps(self) -> ContactSteps: ...
 
     @contact_steps.setter

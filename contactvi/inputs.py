@@ -100,22 +100,22 @@ def _number_remedy(value: Any, number: float, low: float, high: float, open_low:
     return f"Use a number above {low:g}" if open_low else f"Use {low:g} or more"
 
 
-def count(name: str, value: Any) -> int:
-    """Return a whole number >= 1 that the engine can hold."""
+def count(name: str, value: Any, most: int = MOST) -> int:
+    """Return a whole number from 1 to `most`, by default what the engine can hold."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if not whole or not 1 <= int(value) <= MOST:
-        expected = f"a whole number <= {MOST}" if whole and int(value) > MOST else "a whole number >= 1"
+    if not whole or not 1 <= int(value) <= most:
+        expected = f"a whole number <= {most}" if whole and int(value) > most else "a whole number >= 1"
         raise InputError(
-            f"{name} is not usable", name=name, expected=expected, got=short(value), remedy=_count_remedy(value)
+            f"{name} is not usable", name=name, expected=expected, got=short(value), remedy=_count_remedy(value, most)
         )
     return int(value)
 
 
-def _count_remedy(value: Any) -> str:
+def _count_remedy(value: Any, most: int) -> str:
     """Return how to make a whole number >= 1 of what was given."""
     number = as_float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool) else math.nan
     if math.isfinite(number):
-        return f"Use {min(max(round(number), 1), MOST)}, without a decimal point"
+        return f"Use {min(max(round(number), 1), most)}, without a decimal point"
     return "Give a whole number such as 100, without quotes"
 
 

@@ -39,6 +39,7 @@ STARTS: tuple[Start, ...] = get_args(Start)
 CONTACT_MODES: tuple[ContactSteps, ...] = get_args(ContactSteps)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
+MOST_THREADS = 1024  # more are a slip of the pen
 STAGE_TOLS = (1e-15, 3e-11)  # with "auto": the first is what rounding allows
 _FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # they need steps of one length
 _OF_THE_KIND = ("tol", "solver_tol", "record_every")  # options that only one kind of dt has
@@ -57,6 +58,7 @@ class FurtherOptions(TypedDict, total=False):
     zeno: Zeno | None
     support: Support | None
     contact_points: int | None
+    threads: int | None
     record_contacts: bool | None
     contact_mode: ContactSteps | None
     record: Kept | None
@@ -124,6 +126,9 @@ class Options:
         contact_points: points that a pair of shapes has at most, >= 1, by default 4; fewer only where no faces touch.
             While a face tips, impacts at one instant may have more: the unused points of the face, so that none
             penetrates.
+        threads: of this run, >= 1: bodies that cannot meet are advanced side by side in so many, with the same bits. It
+            pays with some hundred moving bodies. One where all bodies are advanced together (see dense) and in scenes
+            with functions of Python; runs of a batch have threads of their own (simulate_batch(workers=)).
         record_contacts: keep the impulses of all contacts (Trajectory.contacts).
         contact_mode: which steps are taken where bodies touch. "auto": events are located; where they accumulate or
             would end the run, and where many points persist, steps are dense: impacts lie inside of them, without times
@@ -161,6 +166,7 @@ class Options:
     zeno: Zeno = "hold"
     support: Support = "sequence"
     contact_points: int = 4
+    threads: int = 1
     record_contacts: bool = True
     contact_mode: ContactSteps = "auto"
     record: Kept = "states"
@@ -174,6 +180,7 @@ class Options:
         _set(self, "record_contacts", flag("record_contacts", self.record_contacts))
         for name in ("record_every", "max_impacts_per_step", "max_iterations", "contact_points"):
             _set(self, name, count(name, getattr(self, name)))
+        _set(self, "threads", count("threads", self.threads, MOST_THREADS))
         check_choice("impact", self.impact, IMPACT_MAPS, "Unknown impact map")
         check_choice("mhc_reference", self.mhc_reference, MHC_REFERENCES, "Unknown reference of MHC")
         check_choice("zeno", self.zeno, ZENO, "Unknown answer to accumulating impacts")

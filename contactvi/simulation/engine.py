@@ -25,7 +25,8 @@ _MOST_WAITING = 4  # engines of a scene with other settings that wait for a run
 # What `make` takes of the options, or makes it of.
 _OF_THE_ENGINE = (
     "dt", "tol", "solver_tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
-    "dt_contact", "zeno", "support", "contact_points", "record_contacts", "record", "contact_mode", "record_every",
+    "dt_contact", "zeno", "support", "contact_points", "threads", "record_contacts", "record", "contact_mode",
+    "record_every",
 )  # fmt: skip
 _FIRST_DT = 0.02  # [s] with "auto" the first guess of the engine, which it corrects before the first impact
 
@@ -69,6 +70,7 @@ def engine_options(options: Options, slack: float = 1.0, dt_contact: float | Non
     settings.end_at_zeno = options.zeno == "end"
     settings.stiff_support = options.support == "stiff"
     settings.contact_points = options.contact_points
+    settings.threads = options.threads
     settings.record_contacts = options.record_contacts
     settings.gradient = options.record == "gradient"
     settings.contact_steps = _core.ContactSteps[options.contact_mode.upper()]

@@ -10,6 +10,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <functional>
 #include <limits>
@@ -45,6 +46,7 @@ std::function<double(double)> function_of(Scene& s, const Given& given) {
   if (const Address* address = std::get_if<Address>(&given))
     return reinterpret_cast<double (*)(double)>(*address);  // NOLINT: the caller says what is there
   return [call = keep(s, std::get<OfNumber>(given))](double place) {
+    if (!std::isfinite(place)) return std::numeric_limits<double>::quiet_NaN();  // of an iteration that diverges
     return guarded(call, std::numeric_limits<double>::quiet_NaN(), [&] { return nb::cast<double>(call(place)); });
   };
 }

@@ -203,6 +203,8 @@ void expose_options(nb::module_& m) {
       .def_rw("record_contacts", &SimulatorOptions::record_contacts)
       .def_rw("gradient", &SimulatorOptions::gradient, "Whether contact steps are kept for derivatives; with dense.")
       .def_rw("islands", &SimulatorOptions::islands, "Whether islands are advanced one by one where that is possible.")
+      .def_rw("threads", &SimulatorOptions::threads,
+              "Threads that advance islands side by side; results do not depend on it.")
       .def_rw("contact_steps", &SimulatorOptions::contact_steps);
 }
 

@@ -27,8 +27,15 @@ inline double dot(const double* x, const double* y, int n) {
 inline void add_rates(const double* coefficients, int rows, int n, const double* v, Vec3& w) {
   if (n == 6) {
     for (int r = 0; r < rows; ++r) w[r] += SixCMap(coefficients + 6 * r).dot(SixCMap(v));
+  } else if (rows == 3) {
+    using Pair = Eigen::Map<const Eigen::Vector2d>;
+    Eigen::Matrix<double, 2, 3> sums = Eigen::Matrix<double, 2, 3>::Zero();
+    int i = 0;
+    for (; i + 1 < n; i += 2)
+      for (int r = 0; r < 3; ++r) sums.col(r) += Pair(coefficients + n * r + i).cwiseProduct(Pair(v + i));
+    for (int r = 0; r < 3; ++r) w[r] += sums(0, r) + sums(1, r) + (i < n ? coefficients[n * r + i] * v[i] : 0.0);
   } else {
-    for (int r = 0; r < rows; ++r) w[r] += AnyCMap(coefficients + n * r, n).dot(AnyCMap(v, n));
+    w[0] += AnyCMap(coefficients, n).dot(AnyCMap(v, n));
   }
 }
 
@@ -39,8 +46,11 @@ inline void add_columns(const double* coefficients, int rows, int n, const doubl
       SixMap(v) += d[0] * SixCMap(coefficients) + d[1] * SixCMap(coefficients + 6) + d[2] * SixCMap(coefficients + 12);
     else
       SixMap(v) += d[0] * SixCMap(coefficients);
+  } else if (rows == 3) {
+    AnyMap(v, n) +=
+        d[0] * AnyCMap(coefficients, n) + d[1] * AnyCMap(coefficients + n, n) + d[2] * AnyCMap(coefficients + 2 * n, n);
   } else {
-    for (int r = 0; r < rows; ++r) AnyMap(v, n) += d[r] * AnyCMap(coefficients + n * r, n);
+    AnyMap(v, n) += d[0] * AnyCMap(coefficients, n);
   }
 }
 

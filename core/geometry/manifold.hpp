@@ -100,6 +100,7 @@ class Manifolds {
  public:
   Manifolds(const Scene& scene, int max_points);
 
+  int most_points() const { return max_points_; }  // of a pair
   // Appends the points of the pair with gap <= margin, at most max_points of them: the deepest, then those that span
   // the largest area; points that add no area are left out. Equal input gives equal points. witness: the contact of the
   // pair that coal gives there; at least one point is found if its gap is <= margin. others: if given, the points

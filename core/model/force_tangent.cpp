@@ -32,7 +32,7 @@ ForceTangent::ForceTangent(const Tree& tree)
       dv_(tree.nv),
       change_(tree.nv) {
   for (std::vector<User>* users : {&forces_, &potentials_})
-    for (User& user : *users) user = {VecX(tree.nv), MatX(tree.nv, tree.nv), MatX(tree.nv, tree.nv)};
+    for (User& user : *users) user = {VecX::Zero(tree.nv), MatX::Zero(tree.nv, tree.nv), MatX::Zero(tree.nv, tree.nv)};
 }
 
 ForceTangent::Point ForceTangent::point(const BodyFrame& frame) const {
@@ -182,10 +182,12 @@ void ForceTangent::take(double t, const VecCRef& q, const VecCRef& v) {
   public_v_ = v;
   engine_to_public(*tree_, q, public_v_);
   for (std::size_t k = 0; k < forces_.size(); ++k) {
+    if (!e.forces[k].derivative) continue;
     e.forces[k].value(t, q_, public_v_, forces_[k].force);
     e.forces[k].derivative(t, q_, public_v_, forces_[k].by_q, forces_[k].by_v);
   }
   for (std::size_t k = 0; k < potentials_.size(); ++k) {
+    if (!e.potentials[k].hessian) continue;
     e.potentials[k].gradient(q_, potentials_[k].force);
     e.potentials[k].hessian(q_, potentials_[k].by_q);
   }

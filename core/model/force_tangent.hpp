@@ -1,4 +1,6 @@
 // Derivatives of the elements' forces (forces.hpp) along directions of configuration and velocity. Engine coordinates.
+// Functions of users whose derivatives are not given count as constant, which is good enough for the matrix of a Newton
+// iteration; derivatives of runs are refused before, where the scene is known (contactvi/derivatives).
 #pragma once
 
 #include <vector>

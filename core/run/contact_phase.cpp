@@ -285,7 +285,7 @@ bool Simulator::update_contact_points(const Interval& interval, Recording& recor
   double worst = 0.0;
   for (int i = 0; i < sequence_.count(); ++i) worst = std::min(worst, sequence_.closed(i).gamma_n(state_.p));
   if (worst < -slow) {
-    zeno_.find_accumulating_impacts(state_.flights, sequence_, now.time, shortest_nominal_step());
+    zeno_.find_accumulating_impacts(state_.flights, sequence_, state_.p, now.time, shortest_nominal_step());
     if (!run_impacts(now, recording)) return end(sequence_.code(), now.time, sequence_.message(), sequence_.guard());
   }
   contacts_.close_contacts(-1, now.time, interval.tau, recording);

@@ -351,16 +351,21 @@ void ContactSet::leave(std::size_t i, const VecX& v, double time, Recording& rec
   update_persistent_guards();
 }
 
-// Whether the points of a guard have to be found again. Against a halfspace they stay the same while they are valid.
+// Whether the points of a guard have to be found again. Against a halfspace they stay the same while they are valid;
+// but a face that has come to lie on three of its corners brings the others down without an impact.
 bool ContactSet::points_may_change(int guard) {
   const Pair& pair = scene_->pairs[guard];
   if (!scene_->geometries[pair.a].unbounded && !scene_->geometries[pair.b].unbounded) return true;
   guards_->place(run_->q);
-  for (const PersistentContact& persistent : step_->contacts())
-    if (persistent.point.guard == guard && persistent.point.kind != PointKind::kWitness &&
+  int count = 0;
+  for (const PersistentContact& persistent : step_->contacts()) {
+    if (persistent.point.guard != guard) continue;
+    ++count;
+    if (persistent.point.kind != PointKind::kWitness &&
         !guards_->manifolds().valid(persistent.point, guards_->placements()))
       return true;
-  return false;
+  }
+  return count > 2 && count < guards_->manifolds().most_points();
 }
 
 // Releases all points of a guard.

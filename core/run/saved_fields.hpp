@@ -35,8 +35,8 @@ void fields(Archive& a, ImpactReference& x) {
 
 template <class Archive>
 void fields(Archive& a, Bouncing& x) {
-  auto& [last_time, last_flight, longest_flight, impacts, shrinking_flights, short_flights] = x;
-  values(a, last_time, last_flight, longest_flight, impacts, shrinking_flights, short_flights);
+  auto& [last_time, last_flight, longest_flight, last_speed, impacts, shrinking_flights, short_flights] = x;
+  values(a, last_time, last_flight, longest_flight, last_speed, impacts, shrinking_flights, short_flights);
 }
 
 template <class Archive>

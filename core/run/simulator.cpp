@@ -590,7 +590,7 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& now, 
     return end(sequence_.code(), time, sequence_.message());
   const double scale = sequence_.largest_speed(state_.p);
   state_.largest_speed = std::max(state_.largest_speed, scale);
-  zeno_.find_accumulating_impacts(state_.flights, sequence_, time, shortest_nominal_step());
+  zeno_.find_accumulating_impacts(state_.flights, sequence_, state_.p, time, shortest_nominal_step());
   // A contact that has separated by rounding only has no impact with the closing speed that rounding has left.
   const bool rounding = (stays_closed || touched) && scale <= kSeparated * state_.largest_speed;
   const bool ran = rounding || run_impacts(now, recording);

@@ -53,6 +53,7 @@ struct SimulatorOptions {
   bool record_contacts = true;
   bool gradient = false;  // contact steps and impacts of several points are kept for derivatives
   bool islands = true;    // islands are advanced one by one where that is possible (run/world.hpp)
+  int threads = 1;        // that advance islands side by side, where no function of the user is called
   ContactSteps contact_steps = ContactSteps::kAuto;
 };
 

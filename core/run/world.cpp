@@ -35,7 +35,12 @@ World::World(const Scene& scene, const SimulatorOptions& options)
       island_of_tree_(trees_.count(), nullptr) {
   // Now, while the memory of its engine is fresh.
   if (may_divide()) island_of(numbers_up_to(trees_.count()));
-  island_progress_ = [this](double t, long impacts) { return ask(t, state_.impacts + impacts); };
+  island_progress_ = [this](double t, long impacts) {
+    return std::this_thread::get_id() == caller_ ? ask(t, state_.impacts + impacts) : !stopped_;
+  };
+  // Errors of the user's functions are kept by the thread in which they happen.
+  if (options.threads > 1 && may_divide() && scene.tree.elements.functions == nullptr)
+    helpers_ = std::make_unique<WorkerThreads>(options.threads - 1);
 }
 
 // Whether islands are advanced one by one: an impulse that solves an equation of the whole step belongs to the whole
@@ -317,6 +322,14 @@ void World::run(Island& island, double length) {
   island.last_used = state_.step;
 }
 
+// Those of to_run_. What happens in one does not depend on the others, nor on who advances it.
+void World::run_all(double length) {
+  if (helpers_ && company_ == nullptr && to_run_.size() > 1)
+    helpers_->run(static_cast<int>(to_run_.size()), [&](int i) { run(*to_run_[static_cast<std::size_t>(i)], length); });
+  else
+    for (Island* island : to_run_) run(*island, length);
+}
+
 // Tells the graph what it was not told while intervals were clear: how far everything has moved in the interval, and
 // before.
 void World::tell_motion() {
@@ -354,7 +367,7 @@ void World::run_interval(double length) {
   regroup(t);
   to_run_ = awake_;
   while (!to_run_.empty()) {
-    for (Island* island : to_run_) run(*island, length);
+    run_all(length);
     for (Island* island : to_run_) island->measure(graph_);
     join_met(t);
   }
@@ -453,7 +466,9 @@ bool World::ask(double time, long impacts) {
   using Clock = std::chrono::steady_clock;
   if (!*progress_ || Clock::now() - last_report_ < std::chrono::milliseconds(100)) return true;
   last_report_ = Clock::now();
-  return (*progress_)(time, impacts);
+  if ((*progress_)(time, impacts)) return true;
+  stopped_ = true;
+  return false;
 }
 
 bool World::report_progress() {
@@ -466,6 +481,8 @@ Status World::advance(long steps, const MatX& tau, const MatX& target, long reco
                       Recording& recording) {
   if (!divided_) return whole_.advance(steps, tau, target, record_every, progress, recording);
   progress_ = &progress;
+  caller_ = std::this_thread::get_id();
+  stopped_ = false;
   last_report_ = std::chrono::steady_clock::now();
   state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
   if (tau.rows() > 0) state_.work.expect_inputs();

@@ -9,9 +9,12 @@
 // islands that it may have met become one, and the interval is done again from its start.
 #pragma once
 
+#include <atomic>
 #include <map>
 #include <memory>
+#include <thread>
 
+#include "base/worker_threads.hpp"
 #include "run/island.hpp"
 #include "run/island_graph.hpp"
 #include "run/side_by_side.hpp"
@@ -87,6 +90,7 @@ class World {
   using InputRow = Eigen::Ref<const Eigen::RowVectorXd, 0, Eigen::InnerStride<>>;
   void set_input(const InputRow& now, VecX& input);
   void run(Island& island, double length);
+  void run_all(double length);
   void run_interval(double length);
   void join_met(double t);
   void tell_motion();
@@ -131,6 +135,11 @@ class World {
   std::vector<double> foreseen_;  // of intervals in which nothing happens: as how many reference intervals they count
   const Progress* progress_ = nullptr;
   Progress island_progress_;
+  // Those that advance islands besides the caller's, who alone asks its `progress_`; the others hear that it has ended
+  // the run.
+  std::unique_ptr<WorkerThreads> helpers_;
+  std::thread::id caller_;
+  std::atomic<bool> stopped_{false};
   std::chrono::steady_clock::time_point last_report_;
 };
 

@@ -35,10 +35,12 @@ double ZenoDetector::short_flight_limit(double e) const {
   return e < 1.0 ? kZenoFlight : dissipative_ ? kElasticFlight : 0.0;
 }
 
-void ZenoDetector::find_accumulating_impacts(const Flights& flights, ImpactSequence& sequence, double time,
-                                             double step) {
+void ZenoDetector::find_accumulating_impacts(const Flights& flights, ImpactSequence& sequence, const VecX& p,
+                                             double time, double step) {
   for (int g : plastic_guards_) plastic_[g] = 0;
   plastic_guards_.clear();
+  closing_.clear();
+  for (int i = 0; i < sequence.count(); ++i) closing_.push_back(std::max(0.0, -sequence.closed(i).gamma_n(p)));
   if (!persistent_) return;
   for (int i = 0; i < sequence.count(); ++i) {
     const ClosedGuard& c = sequence.closed(i);
@@ -47,6 +49,8 @@ void ZenoDetector::find_accumulating_impacts(const Flights& flights, ImpactSeque
     const Bouncing& b = *found;
     const double flight = time - b.last_time;
     if ((c.e >= 1.0 && !dissipative_) || c.e == 0.0 || b.impacts == 0 || !(flight > 0.0)) continue;
+    // Short flights between impacts of one corner say nothing about that of another one, which closes faster.
+    if (closing_[static_cast<std::size_t>(i)] > b.last_speed) continue;
     const bool shorter = b.impacts > 1 && flight < b.last_flight;
     const double longest = std::max(b.longest_flight, flight);
     const bool shrinking = c.e < 1.0 && shorter && b.shrinking_flights + 1 >= kZenoFlights &&
@@ -95,12 +99,16 @@ bool ZenoDetector::update_bouncing(Flights& flights, ImpactSequence& sequence, d
       b.last_flight = flight;
     }
     b.last_time = time;
+    // What the impacts themselves have closed comes behind those that were closed before.
+    b.last_speed = static_cast<std::size_t>(i) < closing_.size() ? closing_[static_cast<std::size_t>(i)] : 0.0;
     ++b.impacts;
     if (plastic_[c.guard]) {  // the count starts again, unless the next flights are short at once
       const int hits = b.short_flights >= kChatterFlights ? 1 : 0;
+      const double speed = b.last_speed;
       b = Bouncing();
       b.impacts = hits;
       b.last_time = time;
+      b.last_speed = speed;
       b.short_flights = hits * (kChatterFlights - 1);
     }
   }

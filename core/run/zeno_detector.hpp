@@ -12,6 +12,7 @@ namespace contactvi {
 // The flights of one guard between its impacts [s], from which an accumulation of impacts is recognised.
 struct Bouncing {
   double last_time = 0, last_flight = 0, longest_flight = 0;
+  double last_speed = 0;  // with which the last impact closed [m/s]
   int impacts = 0, shrinking_flights = 0, short_flights = 0;
 };
 // Of the guards that have had impacts, sorted by guard.
@@ -33,8 +34,9 @@ class ZenoDetector {
   ZenoDetector(const Scene& scene, bool dissipative, bool persistent);
 
   // Finds the guards among the closed ones of `sequence` whose impacts accumulate: their impacts at this event are
-  // plastic. step: the shortest nominal length of steps [s].
-  void find_accumulating_impacts(const Flights& flights, ImpactSequence& sequence, double time, double step);
+  // plastic. p: before them; step: the shortest nominal length of steps [s].
+  void find_accumulating_impacts(const Flights& flights, ImpactSequence& sequence, const VecX& p, double time,
+                                 double step);
   // Per guard: whether its impacts at this event are plastic.
   const std::vector<char>& plastic() const { return plastic_; }
   // Counts the flights of the guards that had an impact. adaptive_dt: the present length of free steps [s]. False:
@@ -54,6 +56,7 @@ class ZenoDetector {
   bool persistent_;
   std::vector<char> plastic_;
   std::vector<int> plastic_guards_, impacted_;
+  std::vector<double> closing_;  // speeds of the closed guards of the sequence at this event [m/s]
   int accumulating_ = -1;
   double ends_ = 0;
 };
