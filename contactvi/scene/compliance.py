@@ -10,12 +10,16 @@ import numpy as np
 
 from contactvi.errors import InputError, SceneError
 from contactvi.inputs import positive, real, short
-from contactvi.scene.contact_functions import DEPTH, RATE, ContactFunction, contact_function
+from contactvi.scene.contact_functions import DEPTH, NORMAL, RATE, SLIP, ContactFunction, contact_function
 from contactvi.scene.pair_rules import Rule
 
 _SAMPLES = np.stack(
     np.meshgrid(np.geomspace(1e-6, 1e-2, 9), [-1.0, -0.1, -0.01, 0.0, 0.02, 0.2, 2.0], indexing="ij"), axis=-1
 ).reshape(-1, 2)  # depths [m] and their rates [m/s] at which laws are tried
+_RUBBING = np.stack(
+    np.meshgrid(np.geomspace(1e-3, 1e4, 8), [0.0, 1e-3, 0.03, 0.2, 1.0], indexing="ij"),
+    axis=-1,
+).reshape(-1, 2)  # normal forces [N] and slips [m/s]
 _SHALLOW = 1e-8  # [m] depth at which the power is found with which a law begins
 _WHOLE = 1e-3  # by how much a power may miss a whole number
 
@@ -34,6 +38,7 @@ class Compliance:
         slip_speed: [m/s] below which friction is viscous: it is friction f s / sqrt(s^2 + slip_speed^2) at the speed s.
         force: [N] of depth and rate, in the place of f; None: f.
         energy: [J] of the depth, whose slope is the force at rest; None: all that the force does is work.
+        bound: [N] on friction, of normal force and slip, in the place of friction f; None: that.
     """
 
     stiffness: float
@@ -43,15 +48,36 @@ class Compliance:
     slip_speed: float = 1e-3
     force: ContactFunction | None = None
     energy: ContactFunction | None = None
+    bound: ContactFunction | None = None
 
     @classmethod
     def checked(
         cls, stiffness: Any, exponent: Any = None, damping: Any = 0.0, friction: Any = None, slip_speed: Any = 1e-3,
-        law: Any = None, derivatives: Any = None, potential: Any = None,
+        law: Any = None, derivatives: Any = None, potential: Any = None, friction_bound: Any = None,
     ) -> Compliance:  # fmt: skip
         """Return the law with these numbers and functions, which are tried; raises InputError, UserFunctionError."""
         rubs = None if friction is None else real("friction", friction, 0.0)
         slow = positive("slip_speed", slip_speed, "a number > 0 m/s")
+        bound = None
+        if friction_bound is not None:
+            if friction is not None:
+                raise _misplaced(
+                    "friction",
+                    friction,
+                    "None with friction_bound=, which is the whole friction",
+                )
+            name = "the bound on the friction of a compliance"
+            bound = contact_function(
+                "friction_bound",
+                name,
+                (NORMAL, SLIP),
+                friction_bound,
+                None,
+                "the friction [N]",
+                pushes=True,
+            )
+            bound.check("friction_bound", _RUBBING)
+            rubs = 0.0
         if law is None:
             for name, value in (("derivatives", derivatives), ("potential", potential)):
                 if value is not None:
@@ -59,7 +85,7 @@ class Compliance:
             return cls(
                 positive("stiffness", stiffness, "a number > 0 N/m^exponent, or None for a rigid pair"),
                 1.0 if exponent is None else real("exponent", exponent, 1.0, 10.0),
-                real("damping", damping, 0.0), rubs, slow,
+                real("damping", damping, 0.0), rubs, slow, bound=bound,
             )  # fmt: skip
         for name, value in (("stiffness", stiffness), ("damping", damping or None)):
             if value is not None:
@@ -72,21 +98,23 @@ class Compliance:
             )
         power = _checked_force(force, energy)
         given = power if exponent is None else real("exponent", exponent, 1.0, 10.0)
-        return cls(0.0, given, 0.0, rubs, slow, force, energy)
+        return cls(0.0, given, 0.0, rubs, slow, force, energy, bound)
 
     @property
     def dissipates(self) -> bool:
         """Whether it does work beside that of a potential."""
-        return bool(self.damping or self.friction or self.force)
+        return bool(self.damping or self.friction or self.force or self.bound)
 
     @property
     def storable(self) -> bool:
         """Whether it holds no function."""
-        return self.force is None
+        return self.force is None and self.bound is None
 
     def describe(self) -> str:
         """Return the law in words."""
         rubs = f", Coulomb friction {self.friction:g} above {self.slip_speed:g} m/s" if self.friction else ""
+        if self.bound is not None:
+            rubs = ", friction by a function of the normal force and the slip"
         if self.force is not None:
             energy = "with a potential" if self.energy is not None else "all of it work"
             return f"force by a function of the depth and its rate, {energy}{rubs}"
@@ -98,20 +126,24 @@ class Compliance:
     def to_data(self) -> dict[str, float | bool | None]:
         """Return the numbers by name, `from_data` takes them; of functions whether they were there."""
         numbers = ("stiffness", "exponent", "damping", "friction", "slip_speed")
-        lost = {name: True for name in ("force", "energy") if getattr(self, name) is not None}
+        lost = {name: True for name in _FUNCTIONS if getattr(self, name) is not None}
         return {name: getattr(self, name) for name in numbers} | lost
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> Compliance:
         """Return the law that `to_data` described, without its functions."""
-        if not data.get("force"):
-            return cls.checked(**data)
-        plain = cls.checked(1.0, **{name: data[name] for name in ("exponent", "friction", "slip_speed")})
-        force, energy = (
-            ContactFunction("the law of a compliance", numbers, None, None, "") if data.get(name) else None
-            for name, numbers in (("force", (DEPTH, RATE)), ("energy", (DEPTH,)))
-        )
-        return replace(plain, stiffness=0.0, force=force, energy=energy)
+        numbers = {name: value for name, value in data.items() if name not in _FUNCTIONS}
+        plain = cls.checked(**(numbers | ({"stiffness": 1.0} if data.get("force") else {})))
+        lost: dict[str, Any] = {
+            name: ContactFunction(f"the {name} of a compliance", known, None, None, "")
+            for name, known in _FUNCTIONS.items()
+            if data.get(name)
+        }
+        return replace(plain, stiffness=numbers["stiffness"], **lost)
+
+
+# Of a law, by the names of its attributes, what they are functions of.
+_FUNCTIONS = {"force": (DEPTH, RATE), "energy": (DEPTH,), "bound": (NORMAL, SLIP)}
 
 
 def _misplaced(name: str, value: Any, expected: str) -> InputError:

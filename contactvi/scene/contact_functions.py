@@ -57,6 +57,7 @@ class ContactFunction:
             scene has lost it.
         derivatives: of the same arrays, returns one array (n,) for each number; None: by differences.
         meaning: of the value, with its unit.
+        pushes: whether the value may not be negative.
     """
 
     name: str
@@ -64,6 +65,7 @@ class ContactFunction:
     function: Callable[..., Any] | None
     derivatives: Callable[..., Any] | None
     meaning: str
+    pushes: bool = False
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ContactFunction:
         """Return itself: a constant, whose functions need not be ones that can be copied."""
@@ -142,7 +144,14 @@ class ContactFunction:
         columns = np.ascontiguousarray(points.T[: len(self.numbers)])
         value = called(function, what, None, *columns)
         asks = f"{self.meaning} of each contact: it gets arrays of shape {columns[0].shape}, and returns one"
-        return checked(value, what, None, (len(points),), asks)
+        found = checked(value, what, None, (len(points),), asks)
+        if self.pushes and found.size and found.min() < 0.0:
+            k = int(np.argmin(found))
+            raise UserFunctionError(
+                f"{what} is negative", function=what, expected=f"{self.meaning} >= 0, or it would make energy",
+                got=f"{found[k]:.6g} at {self._at(points[k])}", remedy="Correct the function, or clip what it returns",
+            )  # fmt: skip
+        return found
 
     def check(self, argument: str, points: Array) -> None:
         """Try the function at rows of numbers.
@@ -152,10 +161,11 @@ class ContactFunction:
             InputError: values that are not finite; given derivatives that are not those of the function.
         """
         values, given = self.values(points), self.slopes(points)
-        bad = ~(np.isfinite(values) & np.isfinite(given).all(axis=1))
+        bad = ~(np.isfinite(values) & np.isfinite(given).all(axis=1)) | (self.pushes & (values < 0.0))
         if bad.any():
             raise InputError(
-                f"{self.name} is not finite", name=argument, expected="finite numbers and derivatives",
+                f"{self.name} is not usable", name=argument,
+                expected="finite numbers and derivatives" + (", values >= 0" if self.pushes else ""),
                 got=f"{values[bad][0]} at {self._at(points[bad][0])}",
                 remedy="Look in the function for a division by zero, or for a root or logarithm of a negative number",
             )  # fmt: skip
@@ -179,8 +189,9 @@ class ContactFunction:
 
 
 def contact_function(
-    argument: str, name: str, numbers: tuple[Number, ...], function: Any, derivatives: Any, meaning: str
-) -> ContactFunction:
+    argument: str, name: str, numbers: tuple[Number, ...], function: Any, derivatives: Any, meaning: str,
+    pushes: bool = False,
+) -> ContactFunction:  # fmt: skip
     """Return a law of checked arguments. Raises InputError."""
     compiled = isinstance(getattr(function, "address", None), int)
     if not callable(function) and not compiled:
@@ -196,7 +207,7 @@ def contact_function(
             expected="None: a compiled function sets them itself" if compiled else "a function, or None",
             got=short(derivatives), remedy="Leave them out: they are then found by differences",
         )  # fmt: skip
-    return ContactFunction(name, numbers, function, derivatives, meaning)
+    return ContactFunction(name, numbers, function, derivatives, meaning, pushes)
 
 
 def _compiled(address: int, numbers: int, points: Array) -> Array:

@@ -116,7 +116,7 @@ def _add_elements(scene: EngineScene, elements: Resolved) -> None:
         law = soft.law
         numbers = (law.stiffness, law.exponent, law.damping, law.friction or 0.0, law.slip_speed)
         shared = [-1, -1, -1]
-        for j, given in enumerate((law.force, law.energy)):
+        for j, given in enumerate((law.force, law.energy, law.bound)):
             if given is not None:
                 if id(given) not in places:
                     places[id(given)] = given.put(scene, soft.names)

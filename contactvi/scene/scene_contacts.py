@@ -130,11 +130,13 @@ class SceneContacts:
         law: Callable[..., Any] | None = None,
         derivatives: Callable[..., Any] | None = None,
         potential: Callable[..., Any] | None = None,
+        friction_bound: Callable[..., Any] | None = None,
     ) -> None:
         """Let contacts be compliant: a force by the depth d of their overlap, in place of impacts and rigid contact.
 
         The normal force is f = stiffness d^exponent (1 + damping d'), and never pulls (Hunt and Crossley, 1975), or a
-        function of yours; the friction is friction f s / sqrt(s^2 + slip_speed^2) against the slip of speed s. It acts
+        function of yours; the friction is friction f s / sqrt(s^2 + slip_speed^2) against the slip of speed s, where a
+        function of yours may stand in the place of friction f. It acts
         at the midpoint of the nearest points, inside of the smooth steps of any order, which end where a contact begins
         to press or to be open. Compliant pairs may overlap in a start, also at the neutral pose; they are not among
         `pair_names`, and `Trajectory.compliant_contacts` tells their forces. Soft against rigid things at once, in any
@@ -164,6 +166,9 @@ class SceneContacts:
             potential: potential(depth) [J], (n,), whose slope is the law at the rate 0; or the address of a C function
                 double(double). It is part of the potential energy then; without one all that the law does is in the
                 damping of the work (`Trajectory.work`).
+            friction_bound: the largest friction, in place of friction times normal force: friction_bound(normal, slip)
+                [N], >= 0, of the normal forces >= 0 [N] of many contacts and the speeds of their slips [m/s], returns
+                (n,). Or a C function void(double normal, double slip, double values[3]) by its `address`.
 
         Raises:
             InputError: bad numbers; a law that pulls at rest, derivatives or a potential that are not its own.
@@ -171,10 +176,13 @@ class SceneContacts:
         """
         soft = None
         if stiffness is not None or law is not None:
-            soft = Compliance.checked(stiffness, exponent, damping, friction, slip_speed, law, derivatives, potential)
+            soft = Compliance.checked(
+                stiffness, exponent, damping, friction, slip_speed, law, derivatives, potential, friction_bound
+            )
         else:
-            given = {"exponent": exponent, "damping": damping or None, "friction": friction}
-            for name, value in (given | {"derivatives": derivatives, "potential": potential}).items():
+            given: dict[str, Any] = {"exponent": exponent, "damping": damping or None, "friction": friction}
+            given |= {"derivatives": derivatives, "potential": potential, "friction_bound": friction_bound}
+            for name, value in given.items():
                 if value is not None:
                     raise InputError(
                         f"A compliance with {name} has no force", name="stiffness", expected="stiffness= or law=",

@@ -268,3 +268,62 @@ def test_in_threads_and_islands():
     batch = cvi.simulate_batch(scene, [scene.neutral()] * 3, v, duration=0.2, dt=1e-3, order=4)
     for k in range(3):
         assert np.array_equal(batch.q[k], cvi.simulate(scene, None, v[k], 0.2, dt=1e-3, order=4).q)
+
+
+def sliding_box(**law) -> tuple[cvi.Scene, np.ndarray, np.ndarray]:
+    """A box of 2 kg that slides at 1 m/s on four corners, as deep as it rests; its scene and state."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("box", (0.4, 0.4, 0.02), 2.0)
+    scene.set_compliance("box", "ground", stiffness=1e5, damping=2.0, **law)
+    q = scene.configuration({"box": (0.0, 0.0, 0.01 - 2.0 * 9.81 / 4e5)})
+    return scene, q, scene.velocity({"box": (1.0, 0.0, 0.0)})
+
+
+def test_friction_that_saturates_slows_a_box_by_as_much():
+    """Each corner carries more than the 2.4 N at which its friction has its bound of 1.2 N: 4.8 N / 2 kg."""
+    scene, q, v = sliding_box(friction_bound=lambda normal, slip: np.minimum(0.5 * normal, 1.2))
+    traj = cvi.simulate(scene, q, v, 0.3, dt=1e-3, order=4)
+    assert traj.compliant_contacts().normal_force.min() > 2.4
+    assert traj.v[:, 0] == pytest.approx(1.0 - 2.4 * traj.t, abs=1e-5)
+    assert np.all(np.diff(traj.work.damping) > 0.0)
+    assert np.abs(traj.ledger.energy_balance).max() <= 1e-6
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_a_bound_of_coulomb_is_coulombs(order):
+    ends = []
+    for law in ({"friction": 0.3}, {"friction_bound": lambda normal, slip: 0.3 * normal}):
+        scene, q, v = sliding_box(**law)
+        v[5] = 2.0  # it turns as well
+        ends.append(cvi.simulate(scene, q, v, 0.2, dt=1e-3, order=order).v[-1])
+    assert np.abs(ends[0] - ends[1]).max() <= 1e-9
+
+
+def test_friction_by_normal_force_and_slip_has_derivatives():
+    scene = ball(
+        0.02, stiffness=5e3, exponent=1.5, damping=0.3, slip_speed=0.05,
+        friction_bound=lambda normal, slip: 0.4 * normal / (1.0 + normal / 30.0) * (1.0 + 0.5 * np.exp(-slip)),
+    )  # fmt: skip
+    q, v = scene.neutral(), scene.velocity({"ball": ((0.3, 0.1, -0.2), (0.5, 2.0, -1.0))})
+    weights, none, step = np.linspace(0.5, 1.5, 6), np.zeros(6), 1e-5
+
+    def run(dv, **options):
+        return cvi.simulate(scene, q, v + dv, 0.12, dt=5e-4, order=4, solver_tol=1e-14, **options)
+
+    traj = run(none, record="gradient")
+    assert traj.stats.switches >= 1
+    _, found = cvi.gradient(traj, (none, weights))
+    for k in range(6):
+        ends = [run(s * step * np.eye(6)[k]).v[-1] for s in (1, -1, 2, -2)]
+        change = 8.0 * (ends[0] - ends[1]) - (ends[2] - ends[3])
+        assert found["v0"][k] == pytest.approx(weights @ change / (12.0 * step), abs=2e-4)
+
+
+def test_bounds_that_are_refused():
+    with pytest.raises(cvi.UserFunctionError, match="negative"):
+        sliding_box(friction_bound=lambda normal, slip: normal - 1.0)
+    with pytest.raises(cvi.InputError, match="friction"):
+        sliding_box(friction_bound=lambda normal, slip: normal, friction=0.3)
+    scene = sliding_box(friction_bound=lambda normal, slip: 0.3 * normal)[0]
+    assert any("compliance of" in name for name in cvi.Scene.from_dict(scene.to_dict()).missing)
