@@ -325,9 +325,14 @@ class Scene:
         Add a spring along a line through points (n, 3) in the frames of joints.
         """
 
-    def add_compliance(self, pair: int, a: int, b: int, name_a: str, name_b: str, stiffness: float, exponent: float, damping: float, friction: float, slip_speed: float) -> None:
+    def add_compliance(self, pair: int, a: int, b: int, name_a: str, name_b: str, stiffness: float, exponent: float, damping: float, friction: float, slip_speed: float, functions: Sequence[int] = [-1, -1, -1]) -> None:
         """
-        Let two geometries press on each other by a law of their gap; see core/model/elements.hpp.
+        Let two geometries press on each other by a law of their gap; see core/model/elements.hpp. functions: the numbers of those of force, energy and bound on friction (add_contact_function), -1: none.
+        """
+
+    def add_contact_function(self, function: int | Callable[[object, bool], object], of_one: bool) -> int:
+        """
+        Adds a function of two numbers of contacts, of rows (n, 2) and whether derivatives are wanted, which returns rows of the value (n, 1) or value and derivatives (n, 3); or the address of a C function void(double, double, double[3]), of one number that of double(double). Returns its number.
         """
 
     def compliant_contacts(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:

@@ -353,6 +353,18 @@ def test_extending_own_law_runs(tmp_path):
     assert abs(float(run_marked("own-law", tmp_path)[0]) - 0.9 * math.exp(-0.1 * math.sqrt(2.0 * 9.81 * 0.95))) < 1e-10
 
 
+def test_extending_own_compliance_runs(tmp_path):
+    deepest, balance = map(float, run_marked("own-compliance", tmp_path)[0].split())
+    # Without damping 1e5 d^2.5 / 2.5 = m g (h + d): the law loses some of it on the way.
+    assert 0.7 < 1e5 * deepest**2.5 / 2.5 / (0.8 * 9.81 * (0.1 + deepest)) < 1.0
+    assert balance < 1e-4
+
+
+def test_extending_own_friction_bound_runs(tmp_path):
+    left, expected = map(float, run_marked("own-friction-bound", tmp_path)[0].split())
+    assert abs(left - expected) < 1e-5
+
+
 def test_extending_own_friction_runs(tmp_path):
     """The block slips again after one period of its limit cycle (tests/oracles/friction_laws.py)."""
     block = friction_laws.Oscillator(2.0, 100.0, 2.0 * 9.81, 0.1, 0.6, friction_laws.stribeck(0.6, 0.3, 0.2))

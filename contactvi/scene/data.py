@@ -48,7 +48,7 @@ from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
 from contactvi.scene.build import Built
 from contactvi.scene.camera import Camera, camera_of
-from contactvi.scene.compliance import compliances_from_dict, compliances_to_dict
+from contactvi.scene.compliance import compliance_name, compliances_from_dict, compliances_to_dict
 from contactvi.scene.contact_laws import laws_from_data, laws_to_data
 from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.element_list import ElementList
@@ -113,10 +113,11 @@ def scene_to_dict(
         **_actuation_to_dict(built),
         "elements": [element.to_data() for element in elements.elements if element.storable],
         "missing": [
-            *(name for name in elements.missing if name not in map(missing_name, built.surfaces)),
+            *(name for name in elements.missing if name not in _lost_by_themselves(built)),
             *(element.name for element in elements.elements if not element.storable),
             *(f"the law of contact of {built.pairs[places[0]]}" for law, places in built.laws if not law.storable),
             *(missing_name(name) for name, surface in built.surfaces.items() if not surface.storable),
+            *(compliance_name(row.names) for row in built.elements.compliances if not row.law.storable),
             *(
                 f"the surface velocity of {name}"
                 for name, motion in built.surface_motions.items()
@@ -200,6 +201,11 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         camera=None if data.get("camera") is None else camera_of(data["camera"]),
         apart=frozenset((str(a), str(b)) for a, b in data["pairs"] if (a, b) in overlaps),
     )
+
+
+def _lost_by_themselves(built: Built) -> set[str]:
+    """Return the names in the list of what is missing of things that the scene still knows to have lost."""
+    return {*map(missing_name, built.surfaces), *(compliance_name(row.names) for row in built.elements.compliances)}
 
 
 def target_name(joint: str) -> str:

@@ -111,10 +111,17 @@ def _add_elements(scene: EngineScene, elements: Resolved) -> None:
     """Hand springs, compliant pairs, wrenches, functions of the user and constraints to the engine's scene."""
     from contactvi import _core
 
+    places: dict[int, int] = {}  # of functions that several pairs share
     for k, soft in enumerate(elements.compliances):
         law = soft.law
         numbers = (law.stiffness, law.exponent, law.damping, law.friction or 0.0, law.slip_speed)
-        scene.add_compliance(k, soft.a, soft.b, *soft.names, *numbers)
+        shared = [-1, -1, -1]
+        for j, given in enumerate((law.force, law.energy, law.bound)):
+            if given is not None:
+                if id(given) not in places:
+                    places[id(given)] = given.put(scene, soft.names)
+                shared[j] = places[id(given)]
+        scene.add_compliance(k, soft.a, soft.b, *soft.names, *numbers, functions=shared)
     for spring in elements.springs:
         scene.add_path_spring(*spring)
     for wrench in elements.wrenches:

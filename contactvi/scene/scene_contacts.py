@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from contactvi.aliases import callers
-from contactvi.errors import UnusedSettingWarning
+from contactvi.errors import InputError, UnusedSettingWarning
 from contactvi.keywords import refusing_methods
 from contactvi.scene.body_adhesion import BodyAdhesion, check_body
 from contactvi.scene.build import Built
-from contactvi.scene.compliance import Compliance
+from contactvi.scene.compliance import Compliance, compliance_name
 from contactvi.scene.contact_laws import checked_contact
 from contactvi.scene.contact_rules import ContactRules
+from contactvi.scene.element_list import ElementList
 from contactvi.scene.notes import noted
 from contactvi.scene.pairs import ENABLED_BY_USER, untested_reason
 from contactvi.scene.parts import PartList
@@ -29,6 +31,7 @@ class SceneContacts:
 
     _parts: PartList
     _contact: ContactRules
+    _elements: ElementList
     _built: Built | None
 
     def set_contact(
@@ -119,19 +122,25 @@ class SceneContacts:
         a: Selector,
         b: Selector | None = None,
         *,
-        stiffness: float | None,
-        exponent: float = 1.0,
+        stiffness: float | None = None,
+        exponent: float | None = None,
         damping: float = 0.0,
         friction: float | None = None,
         slip_speed: float = 1e-3,
+        law: Callable[..., Any] | None = None,
+        derivatives: Callable[..., Any] | None = None,
+        potential: Callable[..., Any] | None = None,
+        friction_bound: Callable[..., Any] | None = None,
     ) -> None:
         """Let contacts be compliant: a force by the depth d of their overlap, in place of impacts and rigid contact.
 
-        The normal force is f = stiffness d^exponent (1 + damping d'), and never pulls (Hunt and Crossley, 1975); the
-        friction is friction f s / sqrt(s^2 + slip_speed^2) against the slip of speed s. It acts at the midpoint of the
-        nearest points, inside of the smooth steps of any order, which end where a contact begins to press or to be
-        open. Compliant pairs may overlap in a start, also at the neutral pose; they are not among `pair_names`, and
-        `Trajectory.compliant_contacts` tells their forces. Soft against rigid things at once, in any mixture.
+        The normal force is f = stiffness d^exponent (1 + damping d'), and never pulls (Hunt and Crossley, 1975), or a
+        function of yours; the friction is friction f s / sqrt(s^2 + slip_speed^2) against the slip of speed s, where a
+        function of yours may stand in the place of friction f. It acts
+        at the midpoint of the nearest points, inside of the smooth steps of any order, which end where a contact begins
+        to press or to be open. Compliant pairs may overlap in a start, also at the neutral pose; they are not among
+        `pair_names`, and `Trajectory.compliant_contacts` tells their forces. Soft against rigid things at once, in any
+        mixture.
 
         Shapes: a ball against a ball, capsule, box, cylinder, hull or halfspace; two capsules; a capsule, ellipsoid,
         box or hull against a halfspace, on which each end of the capsule and each corner presses by a law of its own,
@@ -140,17 +149,51 @@ class SceneContacts:
         Args:
             a, b: bodies, parts or geometries. Without b: all pairs of a, but what is set for pairs counts more; of two
                 sides with a law of their own the softer one counts.
-            stiffness: [N/m^exponent]; None: rigid again.
-            exponent: 1 is a linear spring, 1.5 Hertz's contact (1882), at least 1.
+            stiffness: [N/m^exponent]; None, without law: rigid again.
+            exponent: 1 is a linear spring, the default, 1.5 Hertz's contact (1882), at least 1. With law: the power of
+                the depth with which it begins, for the steps near there; by default it is found.
             damping: [s/m], >= 0. The restitution at the speed v is near 1 - 2/3 damping v where that is near 1.
             friction: Coulomb's coefficient, >= 0; None: that of the pair (`set_contact`).
             slip_speed: below which friction is viscous [m/s]. What rests on a slope creeps with about
                 slip_speed tan(slope) / friction.
+            law: the normal force, in place of stiffness and damping: law(depth, rate) [N] of the depths >= 0 [m] of
+                many contacts and their rates [m/s], > 0 where shapes approach, arrays (n,) each, returns (n,). Where it
+                is negative the contact opens. Or an object with the `address` of a C function
+                void(double depth, double rate, double values[3]) that sets force and derivatives
+                (numba.cfunc("void(float64, float64, CPointer(float64))")).
+            derivatives: derivatives(depth, rate) of the law: (by the depth [N/m], by the rate [N s/m]), (n,) each;
+                None: by differences.
+            potential: potential(depth) [J], (n,), whose slope is the law at the rate 0; or the address of a C function
+                double(double). It is part of the potential energy then; without one all that the law does is in the
+                damping of the work (`Trajectory.work`).
+            friction_bound: the largest friction, in place of friction times normal force: friction_bound(normal, slip)
+                [N], >= 0, of the normal forces >= 0 [N] of many contacts and the speeds of their slips [m/s], returns
+                (n,). Or a C function void(double normal, double slip, double values[3]) by its `address`.
+
+        Raises:
+            InputError: bad numbers; a law that pulls at rest, derivatives or a potential that are not its own.
+            UserFunctionError: a law that fails, or returns another shape, or nan.
         """
-        law = None if stiffness is None else Compliance.checked(stiffness, exponent, damping, friction, slip_speed)
+        soft = None
+        if stiffness is not None or law is not None:
+            soft = Compliance.checked(
+                stiffness, exponent, damping, friction, slip_speed, law, derivatives, potential, friction_bound
+            )
+        else:
+            given: dict[str, Any] = {"exponent": exponent, "damping": damping or None, "friction": friction}
+            given |= {"derivatives": derivatives, "potential": potential, "friction_bound": friction_bound}
+            for name, value in given.items():
+                if value is not None:
+                    raise InputError(
+                        f"A compliance with {name} has no force", name="stiffness", expected="stiffness= or law=",
+                        got="none", remedy="Give one, or neither and nothing else: the pair is rigid then",
+                    )  # fmt: skip
         first = self._geometries(a, "a")
         second = None if b is None else self._geometries(b, "b")
-        self._contact.compliance.set(first, second, law)
+        self._contact.compliance.set(first, second, soft)
+        others = list(self._parts.names.geometries) if second is None else second
+        pairs = [(one, other) for one in first for other in others]
+        self._elements.supply({compliance_name(pair) for a, b in pairs for pair in ((a, b), (b, a))})
         if second is not None:
             self._warn_if_untested(first, second)
         self._built = None

@@ -180,7 +180,7 @@ class CompiledScene:
     def dissipates(self) -> bool:
         """Whether dampers or joint friction take energy, the damping of joints aside."""
         dampers = any(damping > 0.0 for *_, damping, _only in self.built.elements.springs)
-        dampers |= any(row.law.damping or row.law.friction for row in self.built.elements.compliances)
+        dampers |= any(row.law.dissipates for row in self.built.elements.compliances)
         return dampers or bool(np.any(self.built.arrays.joint_friction))
 
     @cached_property
@@ -191,6 +191,7 @@ class CompiledScene:
             "servos": bool(np.any(arrays.servo[:2])),
             "wrenches": bool(found.wrenches),
             "forces given in Python": bool(found.forces),
+            "laws of compliant pairs given in Python": any(not row.law.storable for row in found.compliances),
             "driven constraints": any(row.driven for row in found.constraints),
         }
         return next((what for what, is_there in reasons.items() if is_there), None)

@@ -295,13 +295,13 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
     compiled.check_differentiable()
     if inputs.saturated:
         raise NotDifferentiable(
-            "Actuators were at limits of speed or, in contact steps of order 2, of effort, or a rope with a damper "
-            "became taut",
+            "Actuators were at limits of speed or, in contact steps of order 2, of effort, a rope with a damper became "
+            "taut, or the force of a compliant contact jumped where it began or ended",
             reason="saturation",
             expected="limits of effort alone, in smooth steps or beside contact above order 2; ropes without dampers",
             got=f"{inputs.saturated} steps in which a force is constant or jumps",
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False); give "
-            "ropes no damping",
+            "ropes no damping, and compliant contacts forces that are zero at the opening",
         )  # fmt: skip
     options = traj.options
     settings = {

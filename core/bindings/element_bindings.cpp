@@ -1,5 +1,7 @@
 // Forces, actuation and constraints of a scene: added once, before any simulator is made.
 #include <nanobind/eigen/dense.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
@@ -7,8 +9,11 @@
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
+#include <memory>
 #include <tuple>
 #include <variant>
 
@@ -161,14 +166,71 @@ void add_path_spring(Scene& s, const std::vector<int>& joints, const Rows& point
   s.tree.elements.path_springs.push_back(std::move(spring));
 }
 
+using OfRows = nb::typed<nb::callable, nb::object(nb::object, bool)>;
+using Numbers = nb::ndarray<const double, nb::numpy, nb::c_contig>;
+
+// By a function of Python that takes rows of two numbers and returns rows of values, (n, 1) or with derivatives (n, 3).
+ContactFunction::Rows rows_of(Scene& s, const OfRows& function) {
+  return [call = keep(s, function)](const double* numbers, int count, bool derivatives, ContactValue* values) {
+    const std::size_t n = static_cast<std::size_t>(count), columns = derivatives ? 3 : 1;
+    // Where iterations diverge, the function is not asked.
+    bool known = std::all_of(numbers, numbers + 2 * n, [](double x) { return std::isfinite(x); });
+    known = known && guarded(call, false, [&] {
+              const std::size_t shape[2] = {n, 2};
+              nb::ndarray<nb::numpy, const double> given(numbers, 2, shape, nb::handle());
+              const auto result = nb::cast<Numbers>(call(given.cast(nb::rv_policy::copy), derivatives));
+              if (result.size() != n * columns) throw Error("a law of contact of another shape");
+              for (std::size_t k = 0; k < n; ++k) {
+                const double* row = result.data() + k * columns;
+                values[k] = derivatives ? ContactValue{row[0], row[1], row[2]} : ContactValue{row[0]};
+              }
+              return true;
+            });
+    if (!known) std::fill_n(values, n, ContactValue{kNaN, kNaN, kNaN});
+  };
+}
+
+// Adds a function of two numbers of contacts: of Python, or the address of a C function that sets its value and both
+// derivatives; of one number the address is that of a function that returns its value.
+int add_contact_function(Scene& s, const std::variant<std::uintptr_t, OfRows>& given, bool of_one) {
+  ContactFunction::Rows rows;
+  if (const OfRows* function = std::get_if<OfRows>(&given)) {
+    rows = rows_of(s, *function);
+  } else if (of_one) {
+    auto* f = reinterpret_cast<double (*)(double)>(std::get<std::uintptr_t>(given));  // NOLINT: the caller knows
+    rows = [f](const double* numbers, int count, bool, ContactValue* values) {
+      for (int k = 0; k < count; ++k) values[k] = {f(numbers[2 * k])};
+    };
+  } else {
+    auto* f = reinterpret_cast<void (*)(double, double, double*)>(std::get<std::uintptr_t>(given));  // NOLINT: the same
+    rows = [f](const double* numbers, int count, bool, ContactValue* values) {
+      for (int k = 0; k < count; ++k) {
+        double found[3] = {kNaN, kNaN, kNaN};
+        f(numbers[2 * k], numbers[2 * k + 1], found);
+        values[k] = {found[0], found[1], found[2]};
+      }
+    };
+  }
+  s.tree.elements.contact_functions.push_back(std::make_shared<ContactFunction>(std::move(rows)));
+  return static_cast<int>(s.tree.elements.contact_functions.size()) - 1;
+}
+
 // Of the compliant pair number `pair`, of geometries a and b.
 void add_compliance(Scene& s, int pair, int a, int b, const std::string& name_a, const std::string& name_b,
-                    double stiffness, double exponent, double damping, double friction, double slip_speed) {
+                    double stiffness, double exponent, double damping, double friction, double slip_speed,
+                    const std::array<int, 3>& functions) {
   const int count = static_cast<int>(s.geometries.size());
   need(a >= 0 && a < count && b >= 0 && b < count, "a pair of no geometries");
   need(stiffness >= 0.0 && exponent >= 1.0 && damping >= 0.0 && friction >= 0.0 && slip_speed > 0.0,
        "a compliance has numbers that are not negative, an exponent from 1 on, and a slip speed above 0");
-  const ComplianceLaw law{stiffness, exponent, damping, friction, slip_speed};
+  ComplianceLaw law{stiffness, exponent, damping, friction, slip_speed};
+  const auto function = [&](int k) {
+    need(k < static_cast<int>(s.tree.elements.contact_functions.size()), "there is no such function of contacts");
+    return k < 0 ? nullptr : s.tree.elements.contact_functions[static_cast<std::size_t>(k)];
+  };
+  law.force = function(functions[0]);
+  law.energy = function(functions[1]);
+  law.bound = function(functions[2]);
   for (const TouchingPair& found : touching_pairs(s, a, b, name_a, name_b)) {
     const int first = found.reversed ? b : a, second = found.reversed ? a : b;
     s.tree.elements.compliances.push_back(
@@ -189,18 +251,30 @@ std::pair<Array2, Array2> compliant_contacts(const Scene& s, const Rows& q, cons
     public_to_engine(s.tree, at, speed);
     bodies.place(at);
     bodies.move(speed);
+    std::vector<std::pair<const CompliantContact*, Press>> met;
+    std::vector<AskedPress> asked;
     for (const CompliantContact& c : s.tree.elements.compliances) {
       const Touch<double> touch = touch_of(c, bodies.placements());
       if (!(touch.gap < 0.0)) continue;
       const Vec3 w = bodies.velocity(c.body_a, touch.point) - bodies.velocity(c.body_b, touch.point);
-      const bool acts = presses(c.law, touch.gap, touch.normal.dot(w));
-      const Vec3 force = acts ? press_of(c.law, touch, w).force : Vec3(Vec3::Zero());
+      met.push_back({&c, Press{touch, {}, w, {}}});
+      asked.push_back(asked_press(c.law, touch, w));
+    }
+    ask(asked, false);
+    for (std::size_t k = 0; k < met.size(); ++k) {
+      const auto& [contact, press] = met[k];
+      const CompliantContact& c = *contact;
+      const Touch<double>& touch = press.touch;
+      const bool acts = presses(c.law, touch.gap, asked[k].along, asked[k].given);
+      const Vec3 force = acts ? press_of(c.law, touch, press.velocity, asked[k].given).force : Vec3(Vec3::Zero());
       const double sign = c.reversed ? 1.0 : -1.0;  // the normal is from b to a, and the force that on a
       const Vec3 n = sign * touch.normal, f = sign * force;
       found.push_back({static_cast<double>(i), static_cast<double>(c.pair), -touch.gap, n[0], n[1], n[2],
                        touch.point[0], touch.point[1], touch.point[2], f[0], f[1], f[2]});
     }
   }
+  s.tree.elements.forget_failure();
+  UserErrors::raise();
   const auto rows = static_cast<Eigen::Index>(found.size());
   Rows numbers(rows, 2), values(rows, 10);
   for (Eigen::Index k = 0; k < rows; ++k)
@@ -409,8 +483,13 @@ void expose_elements(nb::class_<Scene>& scene) {
       .def("add_path_spring", &add_path_spring, "joints"_a, "points"_a, "stiffness"_a, "rest_length"_a, "damping"_a,
            "tension_only"_a, "Add a spring along a line through points (n, 3) in the frames of joints.")
       .def("add_compliance", &add_compliance, "pair"_a, "a"_a, "b"_a, "name_a"_a, "name_b"_a, "stiffness"_a,
-           "exponent"_a, "damping"_a, "friction"_a, "slip_speed"_a,
-           "Let two geometries press on each other by a law of their gap; see core/model/elements.hpp.")
+           "exponent"_a, "damping"_a, "friction"_a, "slip_speed"_a, "functions"_a = std::array<int, 3>{-1, -1, -1},
+           "Let two geometries press on each other by a law of their gap; see core/model/elements.hpp. functions: the "
+           "numbers of those of force, energy and bound on friction (add_contact_function), -1: none.")
+      .def("add_contact_function", &add_contact_function, "function"_a, "of_one"_a,
+           "Adds a function of two numbers of contacts, of rows (n, 2) and whether derivatives are wanted, which "
+           "returns rows of the value (n, 1) or value and derivatives (n, 3); or the address of a C function "
+           "void(double, double, double[3]), of one number that of double(double). Returns its number.")
       .def(
           "compliant_contacts", &compliant_contacts, "q"_a, "v"_a,
           "The compliant contacts that overlap at states: (state, pair) (m, 2), (depth, normal, point, force) (m, 10).")

@@ -37,14 +37,22 @@ struct PathSpring {
   bool tension_only;
 };
 
+class ContactFunction;  // model/contact_function.hpp
+
 // The normal force of a compliant contact of depth d, and its friction at the slip speed s:
 // f = stiffness d^exponent (1 + damping d'), never negative, and friction f s / sqrt(s^2 + slip_speed^2).
 struct ComplianceLaw {
   double stiffness;   // [N/m^exponent]
-  double exponent;    // >= 1
+  double exponent;    // >= 1; of a law of the user, the power with which its force grows from the opening on
   double damping;     // [s/m]
   double friction;    // Coulomb's coefficient
   double slip_speed;  // [m/s], > 0
+  // Laws of the user: the force of (depth, its rate) in the place of the first three numbers, the energy of (depth, 0)
+  // of which the force at rest is the slope, and the bound on friction of (normal force, slip speed) in the place of
+  // friction f. Null: none.
+  std::shared_ptr<const ContactFunction> force = nullptr, energy = nullptr, bound = nullptr;
+  bool rubs() const { return friction > 0.0 || bound != nullptr; }
+  bool dissipates() const { return damping > 0.0 || rubs() || force != nullptr; }
 };
 
 struct TouchingShapes;  // model/touching_shapes.hpp
@@ -114,6 +122,7 @@ struct Elements {
   std::vector<JointPotential> joint_potentials;
   std::vector<PathSpring> path_springs;
   std::vector<CompliantContact> compliances;
+  std::vector<std::shared_ptr<const ContactFunction>> contact_functions;  // which their laws share
   std::vector<AppliedWrench> wrenches;
   std::vector<UserForce> forces;
   std::vector<UserPotential> potentials;

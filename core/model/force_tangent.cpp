@@ -92,6 +92,8 @@ void ForceTangent::take_compliances() {
   const auto velocity = [&](int body, const Vec3& x) {
     return body < 0 ? Vec3(Vec3::Zero()) : Vec3(bodies_.speed(body).lin + bodies_.speed(body).ang.cross(x));
   };
+  std::vector<Pressing> met;
+  std::vector<AskedPress> asked;
   for (std::size_t k = 0; k < contacts.size(); ++k) {
     const CompliantContact& c = contacts[k];
     const Placements& at = bodies_.placements();
@@ -99,8 +101,14 @@ void ForceTangent::take_compliances() {
     if (least_gap(*c.shapes, A, B) > 0.0) continue;
     const NearestFeatures found = nearest_touch(*c.shapes, A, B);
     const Touch<double> now = touch(found.a, found.b, A, B);
-    const double along = now.normal.dot(velocity(c.body_a, now.point) - velocity(c.body_b, now.point));
-    if (presses(c.law, now.gap, along)) pressing_.push_back({k, found});
+    if (!(now.gap < 0.0)) continue;
+    met.push_back({k, found, {}});
+    asked.push_back(asked_press(c.law, now, velocity(c.body_a, now.point) - velocity(c.body_b, now.point)));
+  }
+  ask(asked, true);
+  for (std::size_t i = 0; i < met.size(); ++i) {
+    met[i].given = asked[i].given;
+    if (presses(*asked[i].law, -asked[i].depth, asked[i].along, asked[i].given)) pressing_.push_back(met[i]);
   }
 }
 
@@ -125,7 +133,7 @@ void ForceTangent::add_compliances(VecRef df) {
     const CompliantContact& c = tree_->elements.compliances[pressing.contact];
     const Touch<DualNumber> now = touch(pressing.features.a, pressing.features.b, moved(c.body_a), moved(c.body_b));
     const Dual3 speed = velocity(c.body_a, now.point) - velocity(c.body_b, now.point);
-    const PressOf<DualNumber> acts = press_of(c.law, now, speed);
+    const PressOf<DualNumber> acts = press_of(c.law, now, speed, pressing.given);
     const Vec3 F = value(acts.force), dF = derivative(acts.force), x = value(now.point), dx = derivative(now.point);
     bodies_.add_wrench(c.body_a, x, dx, F, dF, none, none, df);
     bodies_.add_wrench(c.body_b, x, dx, -F, -dF, none, none, df);

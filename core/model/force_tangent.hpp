@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "model/body_twists.hpp"
+#include "model/compliance.hpp"
 #include "model/touching_shapes.hpp"
 
 namespace contactvi {
@@ -44,10 +45,11 @@ class ForceTangent {
     MatX by_q, by_v;
   };
   std::vector<Eigen::Matrix<double, 6, 1>> wrenches_;
-  // The compliant contacts that press there, by their numbers, and their nearest features.
+  // The compliant contacts that press there, by their numbers, their nearest features, and what their laws give.
   struct Pressing {
     std::size_t contact;
     NearestFeatures features;
+    GivenPress given;
   };
   std::vector<Pressing> pressing_;
   std::vector<User> forces_, potentials_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "base/tolerances.hpp"
 #include "model/compliance.hpp"
@@ -34,6 +35,10 @@ struct Polynomial {
 // a force's size, that is ten times the rounding.
 constexpr double kOfPlaces = 1e-3;
 constexpr int kCompliantColumns = 3;  // of the Newton terms of a contact
+// Of the sizes of the terms of a gap: a depth below is nothing but their rounding.
+constexpr double kLeastDepth = 1e-14;
+// Of them, the depth at which a contact's force at rest is no jump.
+constexpr double kOfJump = 1e-9;
 
 bool in_reach(const PathSpring& spring, double length) { return !spring.tension_only || length > spring.rest_length; }
 
@@ -53,6 +58,9 @@ ForceField::ForceField(const Tree& tree)
   stiff_columns_ = static_cast<int>(e.path_springs.size() + e.joint_potentials.size());
   const int compliant = kCompliantColumns * static_cast<int>(e.compliances.size());
   if (compliant > 0) rows_.resize(tree.nv, kCompliantColumns);
+  place_of_.assign(e.compliances.size(), -1);
+  for (std::size_t k = 0; k < e.compliances.size(); ++k)
+    if (asks(e.compliances[k].law)) asking_.push_back(k);
   bool derivatives = false;
   for (const UserForce& force : e.forces) derivatives |= static_cast<bool>(force.derivative);
   for (const UserPotential& potential : e.potentials) derivatives |= static_cast<bool>(potential.hessian);
@@ -101,15 +109,44 @@ double ForceField::depth(int law, const VecCRef& q, VecRef gradient) {
   return -touch.gap;
 }
 
-// The rows in rows_ are those of the motion of a's point against b's along the normal and two tangents.
-bool ForceField::press(std::size_t k, const VecCRef& v, Press& press) {
+// Where it opens before the shapes are apart its normal force comes to zero by itself.
+bool ForceField::jumps(int law, const VecCRef& q, const VecCRef& v) {
+  const CompliantContact& c =
+      tree_->elements.compliances[static_cast<std::size_t>(law) - tree_->elements.path_springs.size()];
+  if (!asks(c.law)) return false;
+  place(*tree_, q, at_);
+  Press now;
+  now.touch = touch_of(c, at_);
+  move_apart(c, v, now);
+  const double shallow = kOfJump * touch_size(c, now.touch);
+  std::vector<AskedPress> at(2, asked_press(c.law, now.touch, now.velocity));
+  const bool apart = at[0].depth < shallow;
+  at[0].depth = 0.0;
+  at[1].depth = shallow;
+  at[1].along = 0.0;
+  ask(at, false);
+  const double least = std::abs(c.law.force ? at[1].given.force.value : compliance_elastic(c.law, -shallow));
+  const double normal = apart && c.law.force ? at[0].given.force.value : 0.0;
+  const double bound = c.law.bound ? (*c.law.bound)(std::max(0.0, normal), at[0].slip).value : 0.0;
+  return std::abs(normal) > least || bound > least;
+}
+
+bool ForceField::is_open(std::size_t k) const {
+  return pulls_ != nullptr && (*pulls_)[tree_->elements.path_springs.size() + k] == 0;
+}
+
+bool ForceField::meets(std::size_t k, const VecCRef& v, Press& press) {
   const CompliantContact& c = tree_->elements.compliances[k];
-  const bool held = pulls_ != nullptr, open = held && (*pulls_)[tree_->elements.path_springs.size() + k] == 0;
-  const TouchPose<double> A = touch_pose(at_, c.body_a), B = touch_pose(at_, c.body_b);
-  if ((!held || open) && least_gap(*c.shapes, A, B) > 0.0) return false;
+  const bool by_state = pulls_ == nullptr || is_open(k);
+  if (by_state && least_gap(*c.shapes, touch_pose(at_, c.body_a), touch_pose(at_, c.body_b)) > 0.0) return false;
   press.touch = touch_of(c, at_);
-  const bool overlaps = press.touch.gap < 0.0;
-  if ((!held || open) && !overlaps) return false;
+  if (by_state && !(press.touch.gap < 0.0)) return false;
+  move_apart(c, v, press);
+  return true;
+}
+
+// The rows in rows_ are those of the motion of a's point against b's along the normal and two tangents.
+void ForceField::move_apart(const CompliantContact& c, const VecCRef& v, Press& press) {
   const Vec3 directions[kCompliantColumns] = {press.touch.normal, any_tangent(press.touch.normal),
                                               press.touch.normal.cross(any_tangent(press.touch.normal))};
   rows_.setZero();
@@ -117,8 +154,29 @@ bool ForceField::press(std::size_t k, const VecCRef& v, Press& press) {
   add_point_rows(*tree_, at_, c.body_b, press.touch.point, directions, -1.0, rows_);
   press.velocity.setZero();
   for (int i = 0; i < kCompliantColumns; ++i) press.velocity += rows_.col(i).dot(v) * directions[i];
-  press.acts = press_of(c.law, press.touch, press.velocity);
-  if (open || (!held && !presses(c.law, press.touch.gap, press.touch.normal.dot(press.velocity)))) {
+}
+
+// The functions of laws, once for all contacts.
+void ForceField::ask_laws(const VecCRef& v, bool derivatives) {
+  if (asking_.empty()) return;
+  Press now;
+  asked_.clear();
+  for (const std::size_t k : asking_) {
+    place_of_[k] = -1;
+    if (!meets(k, v, now)) continue;
+    place_of_[k] = static_cast<int>(asked_.size());
+    asked_.push_back(asked_press(tree_->elements.compliances[k].law, now.touch, now.velocity));
+  }
+  ask(asked_, derivatives);
+}
+
+bool ForceField::press(std::size_t k, const VecCRef& v, Press& press) {
+  if (!meets(k, v, press)) return false;
+  const ComplianceLaw& law = tree_->elements.compliances[k].law;
+  press.given = asks(law) ? asked_[static_cast<std::size_t>(place_of_[k])].given : GivenPress();
+  press.acts = press_of(law, press.touch, press.velocity, press.given);
+  const double along = press.touch.normal.dot(press.velocity);
+  if (is_open(k) || (pulls_ == nullptr && !presses(law, press.touch.gap, along, press.given))) {
     press.acts.normal = 0.0;
     press.acts.force.setZero();
   }
@@ -126,6 +184,7 @@ bool ForceField::press(std::size_t k, const VecCRef& v, Press& press) {
 }
 
 void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
+  ask_laws(v, false);
   Press now;
   for (std::size_t k = 0; k < tree_->elements.compliances.size(); ++k) {
     if (!press(k, v, now)) continue;
@@ -137,8 +196,8 @@ void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
     f += row_;
     // The depth is a difference of places, whose rounding a stiff law magnifies: iterations come no nearer.
     const CompliantContact& c = tree_->elements.compliances[k];
-    size += row_.cwiseAbs() +
-            kOfPlaces * compliance_slope(c.law, now.touch.gap) * touch_size(c, now.touch) * rows_.col(0).cwiseAbs();
+    size += row_.cwiseAbs() + kOfPlaces * compliance_slope(c.law, now.touch.gap, now.given) * touch_size(c, now.touch) *
+                                  rows_.col(0).cwiseAbs();
   }
 }
 
@@ -147,15 +206,17 @@ void ForceField::add_compliances(const VecCRef& v, VecRef f, VecRef size) {
 // iterations overshoot from slip to the other side, without it they contract from anywhere (Kacanov's method).
 int ForceField::compliant_terms(const VecCRef& v, double damping, double stiffness, int column, Eigen::Ref<MatX> J,
                                 Eigen::Ref<MatX> C) {
+  ask_laws(v, true);
   Press now;
   for (std::size_t k = 0; k < tree_->elements.compliances.size(); ++k) {
     const ComplianceLaw& law = tree_->elements.compliances[k].law;
     if (!press(k, v, now) || now.acts.normal == 0.0) continue;
     const Vec3 n = now.touch.normal, t1 = any_tangent(n), t2 = n.cross(t1);
-    const double along = n.dot(now.velocity), slope = compliance_slope(law, now.touch.gap);
-    const double normal = damping * std::max(0.0, law.damping * now.acts.elastic) +
-                          stiffness * std::max(0.0, slope * (1.0 - law.damping * along));
-    const bool rubs = law.friction > 0.0;
+    const double along = n.dot(now.velocity), slope = compliance_slope(law, now.touch.gap, now.given);
+    const double by_rate = law.force ? now.given.force.by_second : law.damping * now.acts.elastic;
+    const double by_depth = law.force ? now.given.force.by_first : slope * (1.0 - law.damping * along);
+    const double normal = damping * std::max(0.0, by_rate) + stiffness * std::max(0.0, by_depth);
+    const bool rubs = law.rubs();
     const int columns = rubs ? kCompliantColumns : 1;
     J.middleCols(column, columns) = rows_.leftCols(columns);
     auto block = C.block(column, column, columns, columns);
@@ -163,9 +224,11 @@ int ForceField::compliant_terms(const VecCRef& v, double damping, double stiffne
     if (rubs) {
       const Eigen::Vector2d slip(t1.dot(now.velocity), t2.dot(now.velocity));
       const double r = std::sqrt(slip.squaredNorm() + law.slip_speed * law.slip_speed);
-      const double weight = damping * std::max(0.0, law.friction * now.acts.normal) / r;
+      const double bound = law.bound ? now.given.bound.value : law.friction * now.acts.normal;
+      const double by_normal = law.bound ? now.given.bound.by_first : law.friction;
+      const double weight = damping * std::max(0.0, bound) / r;
       block.bottomRightCorner(2, 2) = weight * Eigen::Matrix2d::Identity();
-      block.bottomLeftCorner(2, 1) = -law.friction * normal / r * slip;
+      block.bottomLeftCorner(2, 1) = -by_normal * normal / r * slip;
     }
     column += columns;
   }
@@ -178,6 +241,7 @@ void ForceField::slackness(const std::vector<int>& laws, const VecCRef& q, const
                            std::vector<Slackness>& found) {
   place(*tree_, q, at_);
   found.clear();
+  asked_.clear();
   const std::size_t springs = tree_->elements.path_springs.size();
   for (const int number : laws) {
     const auto k = static_cast<std::size_t>(number);
@@ -196,9 +260,25 @@ void ForceField::slackness(const std::vector<int>& laws, const VecCRef& q, const
     }
     found.push_back({std::min(over, pull), std::max(l, spring.rest_length) + std::abs(moved)});
   }
+  if (!asked_.empty()) ask_openness(laws, found);
 }
 
-// A contact opens where the shapes come apart, or where its damper pulls as much as its spring pushes.
+// Of the contacts that `openness` has put into asked_.
+void ForceField::ask_openness(const std::vector<int>& laws, std::vector<Slackness>& found) {
+  ask(asked_, false);
+  const std::size_t springs = tree_->elements.path_springs.size();
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < laws.size() && next < asked_.size(); ++i) {
+    const auto number = static_cast<std::size_t>(laws[i]);
+    const AskedPress& c = asked_[next];
+    if (number < springs || &tree_->elements.compliances[number - springs].law != c.law) continue;
+    found[i].value = std::min(c.depth, found[i].size * pull_share(*c.law, c.along, c.given));
+    ++next;
+  }
+}
+
+// A contact opens where the shapes come apart, or where its damper pulls as much as its spring pushes. Where its law is
+// to be asked the second one is left to `slackness`, which asks for all contacts.
 Slackness ForceField::openness(const CompliantContact& c, const VecCRef& v) {
   if (c.shapes->b.kind == TouchingShape::Kind::kPolytope) {
     // While it is far from a shape with many faces these need not be looked at. What jumps there is positive before
@@ -207,15 +287,18 @@ Slackness ForceField::openness(const CompliantContact& c, const VecCRef& v) {
     if (least > c.shapes->a.bound) return {-least, c.shapes->a.bound + c.shapes->b.bound + least};
   }
   const Touch<double> touch = touch_of(c, at_);
-  const double size = touch_size(c, touch);
-  double value = -touch.gap;
-  if (c.law.damping > 0.0) {
-    row_.setZero();
-    add_point_row(*tree_, at_, c.body_a, touch.point, touch.normal, 1.0, row_);
-    add_point_row(*tree_, at_, c.body_b, touch.point, touch.normal, -1.0, row_);
-    value = std::min(value, size * (1.0 - c.law.damping * row_.dot(v)));
+  const double size = touch_size(c, touch), depth = -touch.gap;
+  if (!(c.law.damping > 0.0) && !c.law.force) return {depth, size};
+  row_.setZero();
+  add_point_row(*tree_, at_, c.body_a, touch.point, touch.normal, 1.0, row_);
+  add_point_row(*tree_, at_, c.body_b, touch.point, touch.normal, -1.0, row_);
+  const double along = row_.dot(v);
+  if (c.law.force) {
+    // No deeper than rounding the law tells nothing, where its force grows from zero.
+    if (depth > kLeastDepth * size) asked_.push_back({&c.law, depth, along, 0.0});
+    return {depth, size};
   }
-  return {value, size};
+  return {std::min(depth, size * pull_share(c.law, along, {})), size};
 }
 
 double ForceField::potential(const VecCRef& q) {
@@ -248,7 +331,7 @@ void ForceField::add_gradient(const VecCRef& q, VecRef dV) {
   if (!e.path_springs.empty() || !e.compliances.empty()) place(*tree_, q, at_);
   for (std::size_t k = 0; k < e.compliances.size(); ++k) {
     const double over = depth(static_cast<int>(e.path_springs.size() + k), q, row_);
-    if (over > 0.0) dV -= e.compliances[k].law.stiffness * std::pow(over, e.compliances[k].law.exponent) * row_;
+    if (over > 0.0) dV -= compliance_elastic(e.compliances[k].law, -over) * row_;
   }
   for (const PathSpring& spring : e.path_springs) {
     const double l = length(spring, row_);

@@ -2,11 +2,10 @@
 // matrix. Engine coordinates.
 #pragma once
 
+#include "model/compliance.hpp"
 #include "model/placement.hpp"
 
 namespace contactvi {
-
-struct Press;  // model/compliance.hpp
 
 // How far a spring that only pulls is from going slack, or a compliant contact from opening, or beyond it if negative;
 // its forces are not zero where this is positive. In units of its size, the sizes of its terms [m].
@@ -31,6 +30,9 @@ class ForceField {
   void slackness(const std::vector<int>& laws, const VecCRef& q, const VecCRef& v, std::vector<Slackness>& found);
   // Sets of a compliant contact, by its number among these laws, the gradient of its gap (nv,). Returns its depth [m].
   double depth(int law, const VecCRef& q, VecRef gradient);
+  // Whether the force of a compliant contact, by its number among these laws, has a jump where it begins or ends at a
+  // state: those of users may.
+  bool jumps(int law, const VecCRef& q, const VecCRef& v);
 
   // Potential energy of the elements [J].
   double potential(const VecCRef& q);
@@ -52,7 +54,14 @@ class ForceField {
   double length(const PathSpring& spring, VecRef gradient) const;
   double tension(std::size_t k, double length, double speed, double& elastic) const;
   Slackness openness(const CompliantContact& contact, const VecCRef& v);
-  // How a compliant contact presses at the placed configuration, in the branch that it has. False: not at all.
+  void ask_openness(const std::vector<int>& laws, std::vector<Slackness>& found);
+  bool is_open(std::size_t k) const;
+  // Where a compliant contact overlaps at the placed configuration, and how it moves. False: not at all.
+  bool meets(std::size_t k, const VecCRef& v, Press& press);
+  // Sets the velocity of one that touches there, and the rows.
+  void move_apart(const CompliantContact& contact, const VecCRef& v, Press& press);
+  void ask_laws(const VecCRef& v, bool derivatives);
+  // How it presses, in the branch that it has; laws have been asked. False: not at all.
   bool press(std::size_t k, const VecCRef& v, Press& press);
   void add_compliances(const VecCRef& v, VecRef f, VecRef size);
   int compliant_terms(const VecCRef& v, double damping, double stiffness, int column, Eigen::Ref<MatX> J,
@@ -67,7 +76,10 @@ class ForceField {
   int stiff_columns_ = 0, user_column_ = -1;  // first column of the users' derivatives
   VecX row_, q_, v_, force_, q_side_, v_side_;
   MatX first_, second_;
-  MatX rows_;  // of a compliant contact: normal and tangents, (nv, 3)
+  MatX rows_;                        // of a compliant contact: normal and tangents, (nv, 3)
+  std::vector<std::size_t> asking_;  // the compliant contacts whose laws are functions
+  std::vector<int> place_of_;        // of a compliant contact in asked_
+  std::vector<AskedPress> asked_;
   double input_ = 0, dissipation_ = 0;
   const std::vector<char>* pulls_ = nullptr;
 };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "model/compliance.hpp"
 #include "run/step_control.hpp"
 
 namespace contactvi {
@@ -28,6 +29,15 @@ double graded(double h, double t, double T, double n, int stages) {
   return t < first ? first : std::min(h, h * std::pow(t / T, p));
 }
 
+// Of a force of the user, the depth at which it is asked how stiff it is where it begins [m].
+constexpr double kShallow = 1e-9;
+
+double stiffness_at(const ComplianceLaw& law, double depth) {
+  if (!law.force) return law.stiffness;
+  const double d = std::max(depth, kShallow);
+  return (*law.force)(d, 0.0).value / std::pow(d, law.exponent);
+}
+
 }  // namespace
 
 Branches::Branches(const Tree& tree, Actuation& actuation, Integrator& integrator)
@@ -47,7 +57,7 @@ Branches::Branches(const Tree& tree, Actuation& actuation, Integrator& integrato
   }
   for (std::size_t k = 0; k < tree.elements.compliances.size(); ++k) {
     const ComplianceLaw& compliance = tree.elements.compliances[k].law;
-    if (compliance.stiffness == 0.0) continue;
+    if (compliance.stiffness == 0.0 && !compliance.force) continue;
     Law law;
     law.rope = static_cast<int>(tree.elements.path_springs.size() + k);
     ropes_.push_back(law.rope);
@@ -94,7 +104,7 @@ bool Branches::presses_nonlinearly() const {
   const auto& contacts = tree_->elements.compliances;
   for (std::size_t k = 0; k < contacts.size(); ++k) {
     const ComplianceLaw& law = contacts[k].law;
-    const bool linear = law.exponent == 1.0 && law.damping == 0.0;
+    const bool linear = law.exponent == 1.0 && law.damping == 0.0 && !law.force;
     if (!linear && pulls_[tree_->elements.path_springs.size() + k] != 0) return true;
   }
   return false;
@@ -114,9 +124,9 @@ double Branches::limit(double h, double nominal, const VecX& q, const VecX& v) {
     if (!placed) integrator_->place_node(q);
     placed = true;
     integrator_->solve_mass(answer_);
-    const double mass = 1.0 / row_.dot(answer_), n = law.exponent;
-    const double energy = 0.5 * mass * speed * speed + law.stiffness * std::pow(depth, n + 1.0) / (n + 1.0);
-    const double deepest = std::pow(energy * (n + 1.0) / law.stiffness, 1.0 / (n + 1.0));
+    const double mass = 1.0 / row_.dot(answer_), n = law.exponent, stiffness = stiffness_at(law, depth);
+    const double energy = 0.5 * mass * speed * speed + stiffness * std::pow(depth, n + 1.0) / (n + 1.0);
+    const double deepest = std::pow(energy * (n + 1.0) / stiffness, 1.0 / (n + 1.0));
     const double T = deepest / std::sqrt(2.0 * energy / mass);
     if (!std::isfinite(T)) continue;
     const double t = speed > 0.0 ? depth / speed : T;
@@ -191,7 +201,8 @@ bool Branches::change(int function, double t, const VecX& q, const VecX& v, bool
     // On the way back its pull comes to zero and grows from zero; on the way out its damper acts at once.
     const auto k = static_cast<std::size_t>(law.rope);
     const bool is_spring = k < tree_->elements.path_springs.size();  // the force of a contact grows from zero as well
-    jumped_ = is_spring && tree_->elements.path_springs[k].damping > 0.0 && pulls != 0;
+    jumped_ = is_spring ? tree_->elements.path_springs[k].damping > 0.0 && pulls != 0
+                        : integrator_->field().jumps(law.rope, q, v);
   } else {
     Drive next;
     drive_value(law.dof, t, q, v, next);

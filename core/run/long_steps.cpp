@@ -32,7 +32,7 @@ double elastic_energy(const Tree& tree, const VecX& q) {
   Placements at(tree);
   place(tree, q, at);
   double sum = 0.0;
-  for (const CompliantContact& c : tree.elements.compliances) sum += compliance_energy(c.law, touch_of(c, at).gap);
+  for (const CompliantContact& c : tree.elements.compliances) sum += compliance_scale(c.law, touch_of(c, at).gap);
   return sum;
 }
 

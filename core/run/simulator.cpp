@@ -24,7 +24,7 @@ bool dissipates(const Tree& tree) {
   const Elements& e = tree.elements;
   bool any = tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) any |= spring.damping > 0.0;
-  for (const CompliantContact& c : e.compliances) any |= c.law.damping > 0.0 || c.law.friction > 0.0;
+  for (const CompliantContact& c : e.compliances) any |= c.law.dissipates();
   return any;
 }
 

@@ -90,7 +90,7 @@ void StepEquations::iterate_stages(int flags) {
   stages_.iterate(flags);
   if (stiff_.any()) {
     const std::vector<CompliantContact>& contacts = tree_->elements.compliances;
-    const auto rubs = [](const CompliantContact& c) { return c.law.friction > 0.0; };
+    const auto rubs = [](const CompliantContact& c) { return c.law.rubs(); };
     if (std::none_of(contacts.begin(), contacts.end(), rubs)) {
       if (factor) stiff_.factor(stages_, q0_);
     } else {
