@@ -117,7 +117,7 @@ class SceneShapes(ABC):
         """Add a solid body made of a mesh: its hull, convex pieces, or a solid of its shape. The rest as in add_sphere.
 
         The body's frame is that of the mesh. What collides is what has mass: the hull, or the pieces together, of one
-        density. Edges of some pairs are rounded by up to 0.01 mm, as those of models (see `report`).
+        density. Edges of some pairs are rounded by up to 0.001 mm, as those of models (see `report`).
 
         Args:
             mesh: path of an STL, OBJ, PLY or DAE file; vertices [m], shape (n, 3), for their hull; or (vertices,
