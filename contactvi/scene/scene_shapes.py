@@ -226,7 +226,7 @@ class SceneShapes(ABC):
             size: of the rectangle along x and y [m], (2,); its middle is the origin of `placement`.
             height: of white in a picture [m], which needs it; a factor on other heights, 1 by default.
             smooth: False: the triangles between the samples as convex prisms, two to a cell, called name_0,
-                name_1, ..., 2000 of them at most. What slides over their seams may hit an edge there.
+                name_1, ..., 2000 of them at most. They have edges; what slides over flush ones does not meet them.
             placement, color: as in add_sphere.
 
         Raises:
