@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], object]
 
 TOLERANCE = 1e-7  # relative: what fourth-order differences in double precision reach where nothing amplifies errors
-# Of the steps of differences, down to 5e-9 of a column's scale: edges of shapes are rounded by 1e-5 m, and what touches
+# Of the steps of differences, down to 5e-9 of a column's scale: edges of shapes are rounded by 1e-6 m, and what touches
 # them is smooth over a part of that alone.
 SIZES = tuple(1e-2 * 0.5**k for k in range(22))
 _PAST = 3  # sizes without improvement after which rounding has taken over

@@ -117,7 +117,7 @@ class SceneShapes(ABC):
         """Add a solid body made of a mesh: its hull, convex pieces, or a solid of its shape. The rest as in add_sphere.
 
         The body's frame is that of the mesh. What collides is what has mass: the hull, or the pieces together, of one
-        density. Edges of some pairs are rounded by up to 0.01 mm, as those of models (see `report`).
+        density. Edges of some pairs are rounded by up to 0.001 mm, as those of models (see `report`).
 
         Args:
             mesh: path of an STL, OBJ, PLY or DAE file; vertices [m], shape (n, 3), for their hull; or (vertices,
@@ -226,7 +226,7 @@ class SceneShapes(ABC):
             size: of the rectangle along x and y [m], (2,); its middle is the origin of `placement`.
             height: of white in a picture [m], which needs it; a factor on other heights, 1 by default.
             smooth: False: the triangles between the samples as convex prisms, two to a cell, called name_0,
-                name_1, ..., 2000 of them at most. What slides over their seams may hit an edge there.
+                name_1, ..., 2000 of them at most. They have edges; what slides over flush ones does not meet them.
             placement, color: as in add_sphere.
 
         Raises:

@@ -92,7 +92,15 @@ void DenseCandidates::add_points(const Near& near, const std::vector<DenseImpuls
     const double margin = std::max(near.gap0, 0.0) + near.reach;
     guards_->manifolds().find(near.guard, guards_->placements(), near.witness0, margin, points_);
   }
-  for (const ContactPoint& point : points_) add(point, frozen(point, near.witness0), near, impulses);
+  // Where a neighbour of the shape reaches beyond a point, its plane is none of what the body meets on its way.
+  const Seams& seams = guards_->manifolds().seams();
+  const bool any_seams = scene_->is_pair(near.guard) && seams.any(near.guard);
+  for (const ContactPoint& point : points_) {
+    Contact contact;
+    if (any_seams) evaluate(point, &near.witness0, contact);
+    if (any_seams && seams.slack(near.guard, guards_->placements(), contact) >= Guards::kFeatureRounding) continue;
+    add(point, frozen(point, near.witness0), near, impulses);
+  }
   if (!scene_->is_pair(near.guard)) return;
   add_loaded(near, impulses);
   add_rims(near, impulses);

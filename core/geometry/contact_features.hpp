@@ -80,8 +80,8 @@ struct Line {
 };
 
 // How far beyond the border of a face or the end of an edge a point still counts as over it [m]. With edges rounded
-// by 1e-5 m the error of the gap is then 3e-12 m.
-constexpr double kBorder = 1e-8;
+// by 1e-6 m the error of the gap is then 2e-12 m.
+constexpr double kBorder = 3e-9;
 class CandidateSink {
  public:
   virtual void add(const Candidate& candidate) = 0;

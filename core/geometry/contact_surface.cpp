@@ -15,8 +15,8 @@ namespace {
 constexpr double kMeetingBorder = 2.0 * kBorder;
 // [rad] A normal that is this near to the border of the normals of a feature may belong to the next one, and one that
 // is no farther from the normals of a flat feature belongs to it. Normals are differences of points, with a rounding of
-// 1e-16 m, over the distance of two cores, which are 2e-5 m apart and more: 1e-11 rad, and another factor of 100.
-constexpr double kSameNormal = 1e-9;
+// 1e-16 m, over the distance of two cores, which are 2e-6 m apart and more: 1e-10 rad, and another factor of 100.
+constexpr double kSameNormal = 1e-8;
 // [m] The same for points of coal, which iterates: with an error of the distance of 1e-10 m the place is wrong by the
 // root of that times a radius of curvature.
 constexpr double kNearby = 1e-5;

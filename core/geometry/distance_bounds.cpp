@@ -82,8 +82,12 @@ double DistanceBounds::extent(const PosedShape& posed, const Vec3& direction_W, 
       break;
     }
     case coal::GEOM_ELLIPSOID:
-      core = static_cast<const coal::Ellipsoid&>(shape).radii.cwiseProduct(d).norm();
-      break;
+      // The rounded one has the half axes of the sharp one and is a little larger (model/rounding.cpp).
+      core = (static_cast<const coal::Ellipsoid&>(shape).radii.array() + shape.getSweptSphereRadius())
+                 .matrix()
+                 .cwiseProduct(d)
+                 .norm();
+      return posed.p.dot(direction_W) + core;
     case coal::GEOM_CONVEX: {
       coal::Vec3s support;
       workspace_->hull.last_dir = d;  // coal goes on from the vertex

@@ -296,6 +296,8 @@ double Guards::find_nearest(int guard, Contact& contact) {
   if (pair.refined || (!a.is_ball && !b.is_ball && contact.gap < kFarApart))
     manifolds_.refine(guard, placements_, contact);
   if (has_bounds(a, b)) distance_bounds_.keep(guard, shape_a, shape_b, contact);
+  const Seams& seams = manifolds_.seams();
+  if (contact.gap < Seams::kNear && seams.any(guard)) contact.gap += seams.slack(guard, placements_, contact);
   return contact.gap;
 }
 

@@ -17,7 +17,7 @@ constexpr double kFlatFace = 4e-7;
 // Points closer to each other than this part of the hull's size are one.
 constexpr double kSame = 1e-9;
 // [rad] Faces and sides at a larger angle are not one, however small they are: a vertex where more than three faces
-// meet becomes several in a rounded hull, at most 1e-5 m apart.
+// meet becomes several in a rounded hull, at most 1e-6 m apart.
 constexpr double kStraight = 1e-3;
 // Writes the corners in order of the convex hull of points that lie in one plane, without those on its sides. `all` is
 // reordered.

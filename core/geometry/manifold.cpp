@@ -292,7 +292,40 @@ class Manifolds::Least final : public CandidateSink {
   bool supported_;  // at enough points to fix the faces to each other
 };
 
-Manifolds::Manifolds(const Scene& scene, int max_points) : scene_(&scene), max_points_(std::max(1, max_points)) {
+// Leaves out crossings of edges that are none of the union of a shape and its neighbours.
+class Manifolds::OfUnion final : public CandidateSink {
+ public:
+  OfUnion(const Manifolds& owner, int pair, const Placements& at, const PairView& v, const Vec3& n_W,
+          CandidateSink& sink)
+      : owner_(owner), pair_(pair), at_(at), v_(v), n_W_(n_W), sink_(sink), any_(owner.seams_.any(pair)) {
+    limit = sink.limit;
+  }
+
+  void add(const Candidate& c) override {
+    if (any_ && feature_kind(c.feature) == Feature::kEdges && is_inner(c)) return;
+    sink_.add(c);
+    limit = sink_.limit;
+  }
+
+ private:
+  bool is_inner(const Candidate& c) const {
+    const Vec3 a = v_.pose_a.R * v_.a->edges[feature_i(c.feature)].direction,
+               b = v_.pose_b.R * v_.b->edges[feature_j(c.feature)].direction;
+    const Vec3 n = a.cross(b).normalized();
+    return owner_.seams_.goes_on(pair_, at_, c.x_W, n.dot(n_W_) < 0.0 ? Vec3(-n) : n, a, b);
+  }
+
+  const Manifolds& owner_;
+  int pair_;
+  const Placements& at_;
+  const PairView& v_;
+  const Vec3& n_W_;
+  CandidateSink& sink_;
+  bool any_;
+};
+
+Manifolds::Manifolds(const Scene& scene, int max_points)
+    : scene_(&scene), seams_(scene), max_points_(std::max(1, max_points)) {
   for (const Geometry& g : scene.geometries) {
     is_capsule_.push_back(g.sharp->getNodeType() == coal::GEOM_CAPSULE);
     any_feet_ |= g.surface && g.surface->knows_all_feet();
@@ -472,7 +505,10 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
     } else {
       const Sides sides = sides_of_witness(v, witness);
       n = sides.n_W;
-      list_candidates(v, sides, false, edges_, sink);
+      OfUnion of_union(*this, pair, at, v, n, sink);
+      list_candidates(v, sides, false, edges_, of_union);
+      // A shape that lies across all of another one touches it at such crossings alone.
+      if (found_.empty() && seams_.any(pair)) list_candidates(v, sides, false, edges_, sink);
     }
     // A feature along whose normal the shapes overlap much more lies to the side: they part along the witness's.
     const double deepest = kOverlap * std::min(0.0, witness.gap) - kSameOverlap;
@@ -521,7 +557,8 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
     if (persistent[i]->feature != 0) known = persistent[i];
   const Sides sides = known != nullptr ? sides_of_point(v, *known, at) : sides_of_witness(v, *witness);
   Least least(*this, pair, at, persistent, count, enough);
-  list_candidates(v, sides, true, edges_, least);
+  OfUnion of_union(*this, pair, at, v, sides.n_W, least);
+  list_candidates(v, sides, true, edges_, of_union);
   double value = least.value();
   if (value < kInfinity) evaluate(make_point(pair, v, least.best, sides.n_W), at, contact);
   for (int i = 0; i < count; ++i) {

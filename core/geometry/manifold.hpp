@@ -43,6 +43,7 @@
 #include "geometry/candidates.hpp"
 #include "geometry/contact.hpp"
 #include "geometry/point_selection.hpp"
+#include "geometry/seams.hpp"
 #include "model/common_normal.hpp"
 #include "model/function_surface.hpp"
 
@@ -173,6 +174,9 @@ class Manifolds {
   bool has_lines(int pair) const;
   bool has_capsules(int pair) const { return is_capsule_[scene_->pairs[pair].a] && is_capsule_[scene_->pairs[pair].b]; }
 
+  // Where the shapes of one body form one surface.
+  const Seams& seams() const { return seams_; }
+
   // Largest error of coal's distance of the pair, against that of its features [m].
   double noise(int pair) const;
 
@@ -198,6 +202,7 @@ class Manifolds {
   bool has_merged(const ContactPoint& point, const Placements& at) const;
   void surface_gap(const ContactPoint& p, const Placements& at, Contact& contact) const;
   class Least;
+  class OfUnion;
   bool take_out(std::vector<std::int64_t>& features);
   PairView view(int pair, const Placements& at) const;
   ContactPoint make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const;
@@ -208,6 +213,7 @@ class Manifolds {
   Sides sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const;
 
   const Scene* scene_;
+  Seams seams_;
   int max_points_;
   bool any_feet_ = false;         // whether a surface of the scene may touch a ball in several feet
   std::vector<bool> is_capsule_;  // per geometry

@@ -12,15 +12,15 @@ namespace contactvi {
 namespace {
 
 constexpr double kCertified = 2e-13;  // [m] per metre of the places: distance and bound differ by rounding
-// [m] beyond the border of a face or the end of an edge a point counts as over it. Where the cores are 2e-5 m apart, as
-// they are at contact, the distance is then wrong by 3e-14 m.
-constexpr double kBeyond = 1e-9;
+// [m] beyond the border of a face or the end of an edge a point counts as over it. Where the cores are 2e-6 m apart, as
+// they are at contact, the distance is then wrong by 2e-14 m.
+constexpr double kBeyond = 3e-10;
 constexpr double kOnFeature = 1e-5;   // [m] coal's point is this near to a feature that is tried first
 constexpr double kFlat = 1e-3;        // [rad] from here on a disc or a side of a cylinder is tried first
 constexpr double kFacingSide = 0.05;  // [rad] of a face to the normal, for it to be tried
 constexpr double kFlush = 1e-13;      // [m] a side, a disc or an edge whose points differ by less is parallel to a face
 constexpr double kParallel = 1e-12;   // square of the sine between a circle and another piece that are parallel
-// The same between two lines: where they cross at less, their distance differs by (1e-12 length)^2 / 2e-5 m at most.
+// The same between two lines: where they cross at less, their distance differs by (1e-12 length)^2 / 2e-6 m at most.
 constexpr double kParallelLines = 1e-24;
 constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
 constexpr double kNoise = 1e-6;  // [m] per metre of the places: coal's distances are better

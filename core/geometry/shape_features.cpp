@@ -223,7 +223,7 @@ ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeomet
       break;
     }
     case coal::GEOM_ELLIPSOID:
-      o.ellipsoid = Ellipsoid{g.p_BG, g.R_BG, static_cast<const coal::Ellipsoid&>(shape).radii};
+      o.ellipsoid = Ellipsoid{g.p_BG, g.R_BG, static_cast<const coal::Ellipsoid&>(*g.sharp).radii, o.radius};
       break;
     default:
       break;

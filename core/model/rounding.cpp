@@ -24,11 +24,12 @@ namespace {
 
 using Hull = coal::Convex<coal::Triangle>;
 
-// Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less. Between cores that are 2e-5 m apart
-// the rounding of 1e-16 m turns normals by 5e-12 rad, but not those of features (geometry/nearest_features.hpp).
-constexpr double kRoundingRadius = 1e-5;
-// An ellipsoid has no edges: its core is smaller, so that distances are found to rounding for overlaps up to there.
-constexpr double kEllipsoidRadius = 1e-3;
+// Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less. Between cores that are 2e-6 m apart
+// the rounding of 1e-16 m turns normals by 5e-11 rad, but not those of features (geometry/nearest_features.hpp).
+constexpr double kRoundingRadius = 1e-6;
+// Of the radii of curvature of an ellipsoid, and [m]: how deep below its surface its core lies, which has the same
+// normals. Distances are found to rounding for overlaps up to there.
+constexpr double kInsetOfCurvature = 0.2, kMostInset = 1e-3;
 // Height over length of a triangle of the dual hull below which the plane of its whole face is taken: of a slender one
 // the digits are lost.
 constexpr double kSlender = 1e-3;
@@ -163,7 +164,9 @@ void round_shapes(const std::vector<Geometry*>& geometries, const std::vector<st
   in_parallel(static_cast<int>(roundings.size()), [&](int k) { roundings[k].make(); });
   for (std::size_t k = 0; k < geometries.size(); ++k) {
     geometries[k]->rounded = roundings[number[k]].core;
-    geometries[k]->rounding = roundings[number[k]].radius;
+    // An ellipsoid has no edges.
+    geometries[k]->rounding =
+        roundings[number[k]].sharp->getNodeType() == coal::GEOM_ELLIPSOID ? 0.0 : roundings[number[k]].radius;
   }
   if (!known) return;
   for (const Rounding& r : roundings) {
@@ -182,8 +185,10 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeome
     return std::make_shared<coal::Cylinder>(cylinder->radius - radius, 2 * (cylinder->halfLength - radius));
   }
   if (const auto* ellipsoid = dynamic_cast<const coal::Ellipsoid*>(&shape)) {
-    // The parallel surface of an ellipsoid is none: this one has its half axes and is within r of it.
-    radius = std::min(kEllipsoidRadius, 0.2 * ellipsoid->radii.minCoeff());
+    // The parallel surface of an ellipsoid is none: this one has its half axes, holds it, and is within r of it. Coal
+    // searches there; the features are those of the parallel surface (geometry/ellipsoid.hpp).
+    const double thin = ellipsoid->radii.minCoeff();
+    radius = std::min(kMostInset, kInsetOfCurvature * thin * thin / ellipsoid->radii.maxCoeff());
     return std::make_shared<coal::Ellipsoid>(coal::Vec3s(ellipsoid->radii - coal::Vec3s::Constant(radius)));
   }
   if (const auto* hull = dynamic_cast<const Hull*>(&shape)) return shrunk_hull(*hull, radius);

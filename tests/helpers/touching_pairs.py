@@ -12,7 +12,7 @@ from helpers.engine import scene_of_shapes
 WITNESS, VERTEX = _core.PointKind.WITNESS, _core.PointKind.VERTEX
 RIM, EDGE = _core.PointKind.RIM, _core.PointKind.EDGE
 END, RIM_LINE = _core.PointKind.END, _core.PointKind.RIM_LINE
-ROUNDING = 1e-5  # of polytopes against polytopes [m]
+ROUNDING = 1e-6  # of polytopes against polytopes [m]
 SLACK = 3e-11
 Z = np.array([0.0, 0.0, 1.0])
 GROUND = coal.Halfspace(Z, 0.0)

@@ -24,7 +24,7 @@ from contactvi.importing.hulls import (
 from helpers.thinning import every
 
 Array = np.ndarray
-ROUNDING = 1e-5  # [m] of hulls against hulls, a fifth of the least distance of a face from the middle at most
+ROUNDING = 1e-6  # [m] of hulls against hulls, a fifth of the least distance of a face from the middle at most
 HULL_ERROR = 1e-9  # of the size, where a vertex has helpers (core/model/crowded_vertex.hpp)
 # Of an interior point method on distances of 1e-4 to 1e-1 m; above the rounding of the planes of slender triangles.
 ORACLE = 1e-12

@@ -34,7 +34,7 @@ from helpers.touching_pairs import (
 )
 
 EXACT = 1e-7  # of differences, relative
-STEPS = (1e-3, 2e-4, 4e-5, 8e-6, 1.6e-6, 3.2e-7, 6.4e-8)  # [rad; m] down to a hundredth of the radius of edges
+STEPS = (1e-3, 2e-4, 4e-5, 8e-6, 1.6e-6, 3.2e-7, 6.4e-8, 1.3e-8)  # [rad; m] down to a hundredth of the radius of edges
 NORMAL = np.array([0.6, 0.0, 0.8])
 SHAPES: dict[str, Callable[[], coal.CollisionGeometry]] = {
     "sphere": lambda: coal.Sphere(0.05),

@@ -272,7 +272,7 @@ def test_cylinder_on_a_box():
 
 @pytest.mark.parametrize("corners", [8, 12, 40])
 def test_hulls_with_many_faces_at_a_vertex_have_flat_faces(corners):
-    """Such a vertex becomes several in the rounded hull, at most 1e-5 m apart: none of them is in a wrong face."""
+    """Such a vertex becomes several in the rounded hull, at most 1e-6 m apart: none of them is in a wrong face."""
     box = coal.Box(0.1, 0.1, 0.1)
     two = Two(hull(random_hull(np.random.default_rng(corners), corners)), box)
     assert two.noise() == pytest.approx(Two(box, box).noise(), abs=1e-14)

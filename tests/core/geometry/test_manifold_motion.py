@@ -117,13 +117,14 @@ def tipped(two: Two, angle: float, place: pin.SE3) -> pin.SE3:
 def test_rest_comes_down_to_zero_as_a_tipped_body_falls_flat(name, second):
     two = Two(coal.Box(0.2, 0.2, 0.2), coal.Box(0.2, 0.2, 0.2) if second == "box" else hull(prism(6, half=0.1)))
     slopes = []
-    for angle in (3e-1, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7):
+    for angle in (3e-1, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
         b = tipped(two, angle, STACKS[name])
         persistent = two.points(IDENTITY, b, margin=1e-12)
         rest = two.rest(IDENTITY, b, persistent["feature"])
         assert 0.0 < rest < 0.5 * angle
         slopes.append(rest / angle)
-    np.testing.assert_allclose(slopes[5:], slopes[-1], rtol=5e-3)
+    # From 1e-6 rad on corners move by less than edges are rounded by.
+    np.testing.assert_allclose(slopes[6:], slopes[-1], rtol=5e-3)
     assert two.rest(IDENTITY, tipped(two, 1e-7, STACKS[name]), persistent["feature"]) > 0.0
 
 

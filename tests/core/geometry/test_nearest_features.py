@@ -18,7 +18,7 @@ from helpers.touching_pairs import Two, hull, random_pose, turn
 RADIUS, HALF = 0.06, 0.1  # of the cylinders [m]
 BOX = np.array([0.05, 0.07, 0.04])  # half sides
 CAPSULE, LINE = 0.03, 0.05  # radius, half length
-ROUNDED = 1e-5  # [m] of cylinders and boxes against each other
+ROUNDED = 1e-6  # [m] of cylinders and boxes against each other
 EXACT = 1e-13  # [m] rounding of positions of some metres
 Shape = tuple[Callable[[np.ndarray], float], Callable[[np.ndarray], float]]  # support along m, signed distance of x
 

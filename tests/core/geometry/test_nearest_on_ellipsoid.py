@@ -45,14 +45,12 @@ class Core:
     outside: Callable[[np.ndarray], float]
 
 
-def ellipsoid(half: np.ndarray, r: float) -> Core:
-    D = half - r
-
+def ellipsoid(D: np.ndarray) -> Core:
     def outside(x: np.ndarray) -> float:
         size = float(np.linalg.norm(x / D))
         return (size - 1.0) * size / float(np.linalg.norm(x / D**2))  # to first order
 
-    return Core(r, lambda m: float(np.linalg.norm(D * m)), outside)
+    return Core(0.0, lambda m: float(np.linalg.norm(D * m)), outside)
 
 
 def polytope(faces: np.ndarray, r: float) -> Core:
@@ -75,7 +73,6 @@ def box_faces() -> np.ndarray:
     return np.array([np.r_[s * np.eye(3)[i], -BOX[i]] for i in range(3) for s in (-1.0, 1.0)])
 
 
-CORE = 1e-3  # [m] by which the core of an ellipsoid is smaller
 # name -> coal's shape, its core
 OTHERS: dict[str, tuple[Callable[[], coal.CollisionGeometry], Core]] = {
     "sphere": (lambda: coal.Sphere(SPHERE), Core(SPHERE, lambda m: 0.0, lambda x: float(np.linalg.norm(x)))),
@@ -90,9 +87,8 @@ OTHERS: dict[str, tuple[Callable[[], coal.CollisionGeometry], Core]] = {
     "box": (lambda: coal.Box(*(2 * BOX)), polytope(box_faces(), ROUNDING)),
     "cylinder": (lambda: coal.Cylinder(CYLINDER[0], 2 * CYLINDER[1]), cylinder(ROUNDING)),
     "hull": (lambda: hull(POINTS), polytope(ConvexHull(POINTS).equations, ROUNDING)),
-    "ellipsoid": (lambda: coal.Ellipsoid(0.07, 0.03, 0.1), ellipsoid(np.array([0.07, 0.03, 0.1]), CORE)),
+    "ellipsoid": (lambda: coal.Ellipsoid(0.07, 0.03, 0.1), ellipsoid(np.array([0.07, 0.03, 0.1]))),
 }
-UNROUNDED = ("sphere", "capsule")  # against these an ellipsoid is taken as it is
 
 
 def error(two: Two, cores: list[Core], a: pin.SE3, b: pin.SE3) -> float:
@@ -127,7 +123,7 @@ def at_a_gap(two: Two, a: pin.SE3, R: np.ndarray, direction: np.ndarray, gap: fl
 def test_gaps_and_normals_are_exact(other, halves):
     half = np.array(HALVES[halves])
     make, core = OTHERS[other]
-    cores = [ellipsoid(half, 0.0 if other in UNROUNDED else CORE), core]
+    cores = [ellipsoid(half), core]
     rng = np.random.default_rng(1)
     errors = []
     for swapped in (False, True):
@@ -163,7 +159,7 @@ def test_the_gap_has_the_rows_as_gradient(other):
 def test_an_ellipsoid_rolls_over_the_borders_of_a_hull():
     """The vertices of rounded hulls miss the planes of their faces by some rounding; the hull counts as it is."""
     half = np.array(HALVES["any"])
-    two, cores = Two(coal.Ellipsoid(*half), OTHERS["hull"][0]()), [ellipsoid(half, CORE), OTHERS["hull"][1]]
+    two, cores = Two(coal.Ellipsoid(*half), OTHERS["hull"][0]()), [ellipsoid(half), OTHERS["hull"][1]]
     rng = np.random.default_rng(1)
     a, R = random_pose(rng), random_pose(rng).rotation
     b = at_a_gap(two, a, R, np.array([0.0, 0.6, 0.8]), 0.02)
