@@ -148,7 +148,7 @@ def test_capsule_clatters_to_rest(seed):
 
 
 def thrown_box(seed: int | None) -> tuple[cvi.Scene, np.ndarray]:
-    """Return a box above a plane and its velocity, at random or, for None, ones that make all of its corners chatter."""
+    """Return a box above a plane and its velocity: at random or, for None, one whose corners chatter by turns."""
     rng = np.random.default_rng(seed)
     turn = (0.2, 0.3, 0.1) if seed is None else tuple(rng.uniform(-0.4, 0.4, 3))
     scene = cvi.Scene()
