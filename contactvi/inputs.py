@@ -357,13 +357,13 @@ def pose(name: str, value: Any) -> pin.SE3:
     if isinstance(value, pin.SE3):
         _check_pose(name, value)
         return value.copy()
-    if isinstance(value, Sequence) and len(value) == 2 and not isinstance(value, str):
+    shape = shape_of(value)
+    if isinstance(value, Sequence) and len(value) == 2 and not isinstance(value, str) and shape != (2,):
         xyz = vector(f"{name} xyz", value[0], 3)
         if shape_of(value[1]) == (4,):
             return pin.XYZQUATToSE3(np.concatenate([xyz, unit_quaternion(name, np.asarray(value[1], dtype=float))]))
         rpy = vector(f"{name} rpy", value[1], 3)
         return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
-    shape = shape_of(value)
     if shape == (3,):
         return pin.SE3(np.eye(3), vector(name, value, 3))
     if shape == (7,):

@@ -21,7 +21,7 @@ from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
 from contactvi.inputs import flag, pose, vector
-from contactvi.keywords import refusing_methods
+from contactvi.keywords import no_attribute, refusing_methods
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
 from contactvi.scene.contact_rules import ContactRules
@@ -103,6 +103,12 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneStates, SceneDynamic
         if type(self) is Scene and not name.startswith("_") and name not in _SETTABLE:
             refuse_attribute(name, type(self), _SETTABLE)
         super().__setattr__(name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError for an attribute that a scene has not, with what may have been meant."""
+        if hasattr(type(self), name):  # a property that failed for want of another attribute: its own error
+            return object.__getattribute__(self, name)
+        raise AttributeError(no_attribute("A scene", name, dir(type(self))))
 
     def __repr__(self) -> str:
         return scene_line(self, None if self._built is None else self._built.pairs)
