@@ -20,7 +20,9 @@ def export(
     run: RunFile,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder for the tables, by default the run's name without .npz."),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Folder for the tables, by default the run's name without .npz."
+        ),
     ] = None,
     table: Annotated[
         list[str] | None,
@@ -34,7 +36,8 @@ def export(
 ) -> None:
     """Write tables of a run as CSV, and their units as units.csv.
 
-    Tables are states, poses, energies, events, contacts, changes and dense_steps, with --sample-dt or --table forces.
+    Tables are states, poses, energies, efforts, events, contacts, changes and dense_steps, with --sample-dt or --table
+    forces.
     """
     import contactvi as cvi
 

@@ -263,7 +263,7 @@ def _no_inertia(own: float, least: float) -> str:
 
 
 def _moved_by_nothing(model: pin.Model, own: EngineModel, q: np.ndarray, followers: Sequence[Coupled]) -> str:
-    """Name the links that move in the motion that has no inertia at q: what is behind a joint, or the base before it."""
+    """Name the links that move in the motion without inertia at q: what is behind a joint, or the base before it."""
     from scipy.linalg import eigh
 
     S = coupled_basis(model, followers)

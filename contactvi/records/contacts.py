@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from contactvi.aliases import alias
 from contactvi.errors import InputError
-from contactvi.html import html_fields, html_table
+from contactvi.html import html_fields
 from contactvi.inputs import real
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import LIMITS, label
 from contactvi.records.force_sums import BRIEF, mean_forces
-from contactvi.records.rows import Array, Arrays, Fields, Items, Rows, StepRows, joined
+from contactvi.records.rows import Array, Arrays, Fields, Items, Printed, Rows, StepRows, joined
 from contactvi.records.shape_names import Groups, ShapeNames, matching_pairs
 
 # The order is that of the file format.
@@ -112,7 +112,7 @@ class Contact:
         return html_fields("Contact", fields | {"gap": f"{self.gap:.3g} m"})
 
 
-class ContactLog(StepRows, Items[Contact]):
+class ContactLog(Printed, StepRows, Items[Contact]):
     """The contacts of a run, a sequence of `Contact` in the order of time, and the same data as arrays.
 
     `log[3]` is a Contact; `log.impulse`, `log.force`, `log.t`, ... are arrays of all rows, shape (m,) or (m, 3);
@@ -308,9 +308,8 @@ class ContactLog(StepRows, Items[Contact]):
     def __repr__(self) -> str:
         return f"<ContactLog: {len(self)} rows of {len(self.pairs)} pairs>"
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: the first rows and the last ones."""
-        rows = [
+    def _brief(self) -> tuple[str, Sequence[str], list[Sequence[str] | None]]:
+        rows: list[Sequence[str] | None] = [
             None if c is None else (
                 f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode,
                 f"{c.normal_force:.6g}" if c.h > 0.0 else "",
@@ -318,7 +317,7 @@ class ContactLog(StepRows, Items[Contact]):
             ) for c in self._shown()
         ]  # fmt: skip
         heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse, friction included [N s]")
-        return html_table(f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows)
+        return f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows
 
     def _item(self, i: int) -> Contact:
         row = {name: values[i] for name, values in self._arrays.items()}
@@ -355,7 +354,7 @@ class ContactChange:
         return f"t = {self.time:.9g} s  {self.pair[0]} | {self.pair[1]}  {self.change}"
 
 
-class ChangeLog(Rows, Items[ContactChange]):
+class ChangeLog(Printed, Rows, Items[ContactChange]):
     """The changes of contacts in a run, in the order of time; `log.array("time")` is one of CHANGE_FIELDS as array."""
 
     _fields = CHANGE_FIELDS
@@ -377,11 +376,12 @@ class ChangeLog(Rows, Items[ContactChange]):
     def __repr__(self) -> str:
         return f"<ChangeLog: {len(self)} changes>"
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: the first changes and the last ones."""
-        rows = [None if c is None else (f"{c.time:.6g}", " | ".join(c.pair), str(c.point), c.change)
-                for c in self._shown()]  # fmt: skip
-        return html_table(f"Contact changes: {len(self)}", ("t [s]", "pair", "point", "change"), rows)
+    def _brief(self) -> tuple[str, Sequence[str], list[Sequence[str] | None]]:
+        rows: list[Sequence[str] | None] = [
+            None if c is None else (f"{c.time:.6g}", " | ".join(c.pair), str(c.point), c.change)
+            for c in self._shown()
+        ]  # fmt: skip
+        return f"Contact changes: {len(self)}", ("t [s]", "pair", "point", "change"), rows
 
     def _item(self, i: int) -> ContactChange:
         row = {name: values[i] for name, values in self._arrays.items()}

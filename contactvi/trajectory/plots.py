@@ -16,6 +16,7 @@ from contactvi.inputs import check_choice, flag, real
 from contactvi.records.codes import GuardKind
 from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.coordinates import coordinates
+from contactvi.trajectory.angles import turned_angles
 from contactvi.trajectory.force_plots import force_figure, span_of
 from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, legend, panels
 from contactvi.trajectory.trajectory import Trajectory
@@ -72,11 +73,13 @@ def plot_states(traj: Trajectory) -> Figure:
 
     Names are those of contactvi.scene.coordinates.Coordinates; more than ten in a panel get a scale of colours.
     Velocities of free, planar and spherical joints are Pinocchio's, in the axes of their bodies, which the labels say.
-    Quaternions, and the cosine and sine of a joint without end, are left out. The figure is one as that of `plot`.
+    Quaternions are left out, and of a joint without end there is the angle over whole turns, JOINT.angle. The figure is
+    one as that of `plot`.
     """
     _check(traj)
     named = coordinates(traj.scene.model)
     numbers = [*zip(named.q.items(), traj.q.T, strict=True), *zip(named.v.items(), traj.v.T, strict=True)]
+    numbers += [((name, "rad"), angle) for name, angle in turned_angles(traj).items()]
     groups = [(what, unit, [(name, y) for (name, of), y in numbers if of == unit]) for what, unit in _STATES]
     groups = [group for group in groups if group[2]]
     figure, axes = panels(f"States, {traj.stepping}", span_of(traj), max(1, len(groups)), _impacts(traj))

@@ -253,3 +253,18 @@ def test_resolution_and_background_of_a_file(box, tmp_path, draw):
         with pytest.raises(cvi.InputError, match=next(iter(wrong))):
             save_figure(draw(box), tmp_path / "c.png", **wrong)
     assert not (tmp_path / "c.png").exists()
+
+
+@pytest.mark.parametrize("options", [{"dt": 1e-3}, {"dt": 0.05, "order": 8}, {"tol": 1e-8}])
+def test_the_angle_of_a_joint_without_end_goes_on_over_whole_turns(options):
+    """A hinge without weight turns at 20 rad/s: by 40 rad, also where nodes are more than half a turn apart."""
+    scene = cvi.Scene(gravity=(0, 0, 0))
+    scene.add_urdf("models/damped_pendulum.urdf")
+    scene.set_joint("hinge", damping=0.0)
+    traj = cvi.simulate(scene, scene.configuration({"hinge": 1.0}), [20.0], duration=2.0, **options)
+    angle = traj.table("states").column("hinge.angle")
+    assert np.abs(angle - (1.0 + 20.0 * traj.t)).max() < 1e-7
+    panel = cvi.plot_states(traj).axes[0]
+    assert panel.get_ylabel() == "angle [rad]"
+    assert labels(panel) == ["hinge.angle"]
+    assert np.array_equal(panel.get_lines()[0].get_ydata(), angle)
