@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from contactvi.aliases import alias
 from contactvi.errors import InputError
 from contactvi.html import html_fields
-from contactvi.inputs import real
+from contactvi.inputs import flag, real
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import LIMITS, label
 from contactvi.records.force_sums import BRIEF, mean_forces
@@ -229,26 +229,29 @@ class ContactLog(Printed, StepRows, Items[Contact]):
         """
         return self.rows(self._between(a, b)[self._guards[1]])
 
-    def force_of(self, a: Any, b: Any) -> tuple[Array, Array]:
+    def force_of(self, a: Any, b: Any, zeros: bool = False) -> tuple[Array, Array]:
         """Return (t (k,) [s], force (k, 3) [N]) between two bodies while they are in persistent contact.
 
         Names, times and forces are as in `of` and `on`. The force acts on the second shape of the pair as `pairs` names
         it; of several pairs on the side of the first one's second shape. For a limit it is the first component.
+        `zeros` as in `on`.
         """
         chosen = self._between(a, b)
         rows = chosen[self._guards[1]] & (self.h > 0.0)
         pairs = [pair for pair, its in zip(self.pairs, chosen, strict=True) if its]
         if len(pairs) == 1:
-            return self._mean(rows, np.ones(int(rows.sum())))
+            return self._mean(rows, np.ones(int(rows.sum())), zeros)
         sides = [self._shapes.of(name) for name in (a, b)]
-        return self._mean(rows, self._signs(sides[pairs[0][1] in sides[1]])[rows])
+        return self._mean(rows, self._signs(sides[pairs[0][1] in sides[1]])[rows], zeros)
 
-    def on(self, body: Any) -> tuple[Array, Array]:
+    def on(self, body: Any, zeros: bool = False) -> tuple[Array, Array]:
         """Return (t (k,) [s], force (k, 3) [N]): the sum of all contact forces on a body, step by step.
 
         Args:
             body: name of a part, body or shape, a pattern over these, several of them, or a handle of the scene; its
                 shapes count as one body.
+            zeros: add rows of force 0 where contact ended and where it began again, so that a line through the rows
+                is zero in a flight. There are no rows in it otherwise, and a line would join those before and after.
 
         Times are the middles of the steps in which it had persistent contact; forces are means over the time of contact
         in them. Parts of a step that end at changes of contacts are taken together, and steps whose contact is shorter
@@ -259,7 +262,7 @@ class ContactLog(Printed, StepRows, Items[Contact]):
         """
         signs = self._signs(self._shapes.of(body))
         chosen = (signs != 0.0) & (self.h > 0.0)
-        return self._mean(chosen, signs[chosen])
+        return self._mean(chosen, signs[chosen], zeros)
 
     def impulse_on(self, body: Any) -> Array:
         """Return the sum of all contact impulses on a body, impacts included [N s], world axes, shape (3,).
@@ -290,9 +293,9 @@ class ContactLog(Printed, StepRows, Items[Contact]):
             if self.pairs else "Nothing touched in this run",
         )  # fmt: skip
 
-    def _mean(self, chosen: NDArray[np.bool_], signs: Array) -> tuple[Array, Array]:
-        step = self._arrays["step"][chosen]
-        return mean_forces(self.t[chosen], self.h[chosen], step, signs[:, None] * self.impulse[chosen])
+    def _mean(self, chosen: NDArray[np.bool_], signs: Array, zeros: bool) -> tuple[Array, Array]:
+        step, impulse = self._arrays["step"][chosen], signs[:, None] * self.impulse[chosen]
+        return mean_forces(self.t[chosen], self.h[chosen], step, impulse, flag("zeros", zeros))
 
     def _signs(self, shapes: set[str]) -> Array:
         """+1 where the second shape is one of these, -1 where the first is, 0 where both or none are, shape (m,)."""

@@ -11,11 +11,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import mapping, real, vector
+from contactvi.inputs import mapping, real, vector, warn_of_degrees
 from contactvi.keywords import refusing_methods
 from contactvi.scene import closure
 from contactvi.scene.build import Built
-from contactvi.scene.joints import dofs_of, joint_value, joint_velocity
+from contactvi.scene.joints import dofs_of, is_revolute, joint_value, joint_velocity
 from contactvi.scene.parts import PartList
 from contactvi.scene.placing import place_on_ground
 from contactvi.scene.selection import Names, Selector
@@ -85,6 +85,8 @@ class SceneStates(ABC):
         for selector, value in mapping("values", values, "joint: value").items():
             for name in self.names.select_placed(selector):
                 q[self.q_index(name)] = joint_value(model, name, value)
+                if is_revolute(model, name):
+                    warn_of_degrees(f"value of joint {name!r}", q[self.q_index(name)])
         return q
 
     def velocity(

@@ -90,8 +90,8 @@ class Exports:
 
         Args:
             table: "states", "poses", "energies", "efforts", with the time as index; "events", "contacts", "forces",
-                "changes" or "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]` has
-                the units.
+                "changes" or "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]`
+                has the units.
             sample_dt: as of `table`.
 
         Raises:

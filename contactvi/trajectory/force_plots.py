@@ -75,8 +75,16 @@ def _draw_pairs(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> None
             draw_curve(axis, *_broken(steps, values), name, color=color, lw=1.1)
         known = np.isfinite(ratio[rows])
         middle = (log.t + 0.5 * log.h)[rows][known]
+        if not len(middle):
+            continue  # nothing that a legend could name
         axes[2].plot(middle, ratio[rows][known], ls="", marker=".", ms=1.5, color=color, label=name, rasterized=True)
-    axes[2].axhline(1.0, color="black", lw=0.8, ls="--", label="on the cone: it slides" if len(drawn) else None)
+    if len(drawn) and not np.any(np.isfinite(ratio)):
+        axes[2].text(
+            0.5, 0.5, "no cone of one coefficient: no friction,\nor it is a function of the slip, or adhesion",
+            transform=axes[2].transAxes, ha="center", va="center", color="0.5",
+        )  # fmt: skip
+    else:
+        axes[2].axhline(1.0, color="black", lw=0.8, ls="--", label="on the cone: it slides" if len(drawn) else None)
     for axis, values in zip(axes, drawn_values, strict=False):
         _scale(axis, values, _largest(values), signed=False)
     axes[2].set_ylim(-0.03, 1.1 if not np.any(ratio > 1.07) else None)

@@ -112,6 +112,7 @@ The header is an object with the keys
 - format: "contactvi-trajectory"; schema: 9; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
+- undriven: whether it is known that nothing drives a joint; then there is no entry effort. Older files lack it
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
 - constraints: [[name, kind, rows], ...] of the columns of force/reactions, in runs with force/work
 - scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.playback.visuals.Visual fields
@@ -201,6 +202,8 @@ class Run(Protocol):
 
     @property
     def drives(self) -> bool: ...
+    @property
+    def efforts_known(self) -> bool: ...
     def all_efforts(self) -> NDArray[np.float64]: ...
 
 
@@ -229,6 +232,7 @@ def save(traj: Run, path: str | os.PathLike[str], overwrite: bool = False) -> Pa
         "joint_names": list(traj.scene.model.names),
         "gap_pairs": gap_pairs,
         "constraints": [] if traj.forces is None else [list(row) for row in traj.all_forces().constraints],
+        "undriven": traj.efforts_known and not traj.drives,
         "scene": scene,
         "visuals": [visual.to_dict() for visual in traj.visuals],
     }
@@ -346,6 +350,8 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     read = EntryReader(path, entries, sizes)
     nodes = read.nodes(_stored_nodes(options) | ({"effort": "v"} if "effort" in entries else {}))
     t = nodes.pop("t")
+    if header.get("undriven") is True:
+        nodes["effort"] = np.broadcast_to(0.0, (len(t), sizes["v"]))
     # The engine's states are finite; so are energies, save in a run that ended because a number was too large.
     status = header["status"]
     ended = Status(StatusCode(status["code"]), str(status["message"]), float(status["time"]))

@@ -462,7 +462,12 @@ class Trajectory(Exports):
     @property
     def drives(self) -> bool:
         """Whether there are joints that are driven, with known efforts."""
-        return ("effort" in self._derived or efforts_known(self)) and bool(self.efforts().joints)
+        return self.efforts_known and bool(self.efforts().joints)
+
+    @property
+    def efforts_known(self) -> bool:
+        """Whether it is known what the motors of the run were asked for."""
+        return "effort" in self._derived or efforts_known(self)
 
     def all_efforts(self) -> Array:
         """Return the efforts of all degrees of freedom (N, nv). Raises InputError where they are not known."""

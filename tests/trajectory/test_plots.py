@@ -255,6 +255,17 @@ def test_resolution_and_background_of_a_file(box, tmp_path, draw):
     assert not (tmp_path / "c.png").exists()
 
 
+def test_a_panel_without_cones_says_why():
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("box", (0.2, 0.2, 0.1), placement=(0, 0, 0.05))
+    scene.set_contact("ground", "box", friction=lambda speed: 0.3 + 0.1 * np.exp(-speed))
+    traj = cvi.simulate(scene, v0=scene.velocity({"box": (0.5, 0, 0)}), duration=0.05, dt=1e-3)
+    panel = cvi.plot_forces(traj).axes[2]
+    assert "a function of the slip" in panel.texts[0].get_text()
+    assert labels(panel) == []
+
+
 @pytest.mark.parametrize("options", [{"dt": 1e-3}, {"dt": 0.05, "order": 8}, {"tol": 1e-8}])
 def test_the_angle_of_a_joint_without_end_goes_on_over_whole_turns(options):
     """A hinge without weight turns at 20 rad/s: by 40 rad, also where nodes are more than half a turn apart."""
