@@ -41,14 +41,28 @@ def span_of(traj: Trajectory) -> tuple[float, float]:
     return float(traj.t[0]), float(traj.t[-1])
 
 
-def force_figure(traj: Trajectory, by: str) -> RunFigure:
-    """Return the figure of contactvi.plot_forces."""
-    log = traj.contacts.rows(traj.contacts.has_force & (traj.contacts.array("kind") == GuardKind.CONTACT))
+def force_figure(
+    traj: Trajectory,
+    by: str,
+    window: tuple[float, float],
+    size: tuple[float, float] | None = None,
+    pairs: set[tuple[str, str]] | None = None,
+) -> RunFigure:
+    """Return the figure of contactvi.plot_forces.
+
+    Args:
+        window: the times that are drawn [s]. pairs: of shapes; None: all.
+    """
+    log = traj.contacts
+    rows = log.has_force & (log.array("kind") == GuardKind.CONTACT) & (log.end >= window[0]) & (log.t <= window[1])
+    if pairs is not None:
+        rows &= np.array([pair in pairs for pair in traj.scene.pair_names])[np.where(rows, log.array("index"), 0)]
+    log = log.rows(rows)
     changes = traj.contact_changes
     kind, time = changes.array("change"), changes.array("time")
     instants = [Instants(name, time[kind == CHANGES.index(name)], color) for name, color in _CHANGE.items()]
     title = f"Contact forces{' on bodies' if by == 'body' else ''}, {traj.stepping}"
-    figure, axes = panels(title, span_of(traj), 3, instants)
+    figure, axes = panels(title, window, 3, instants, size)
     if by == "body":
         _draw_bodies(axes, traj, log)
     else:
