@@ -84,8 +84,8 @@ def panels(
     Raises:
         InputError: a size in which labels and names would be cut, or panels have no room.
     """
-    instants = [kind._replace(time=kind.time[(kind.time >= span[0]) & (kind.time <= span[1])]) for kind in instants]
-    instants = [kind for kind in instants if len(kind.time)]
+    shown = [(kind, kind.time[(kind.time >= span[0]) & (kind.time <= span[1])]) for kind in instants]
+    instants = [Instants(kind.name, time, kind.color) for kind, time in shown if len(time)]
     wide = _WIDTH if size is None else size[0]
     strips = instants if sum(len(np.unique(kind.time)) for kind in instants) > _MOST_INSTANTS else []
     height = 2.1 if count > 1 else 3.2
@@ -99,8 +99,8 @@ def panels(
         if wide < least[0] or height < _LEAST_HEIGHT:
             raise InputError(
                 "Size of a figure", name="size", got=f"({wide:g}, {size[1]:g})",
-                expected=f"at least {least[0]:g} inches of width and {least[1]:g} of height, for {count} panels with their"
-                " labels and names", remedy=f"Use size=({max(least[0], wide):g}, {max(least[1], size[1]):g})",
+                expected=f"at least {least[0]:g} inches of width and {least[1]:g} of height, for {count} panels with"
+                " their labels and names", remedy=f"Use size=({max(least[0], wide):g}, {max(least[1], size[1]):g})",
             )  # fmt: skip
     inches = [*([_STRIP] * len(strips)), *([height] * count)]
     total = other + count * height
