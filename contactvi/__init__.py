@@ -20,6 +20,10 @@ _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        from contactvi.keywords import no_attribute
+
+        raise AttributeError(no_attribute("contactvi", name, __all__))
     import numpy  # noqa: F401  (before coal, whose module crashes where Ctrl-C stops the import of NumPy it makes itself)
 
     return _load(name)

@@ -19,6 +19,7 @@ from .derivatives.linear import forward_dynamics_derivatives as forward_dynamics
 from .derivatives.linear import linearize as linearize
 from .derivatives.linear import step_derivatives as step_derivatives
 from .errors import AccuracyWarning as AccuracyWarning
+from .errors import AngleUnitWarning as AngleUnitWarning
 from .errors import ApproximateDerivativeWarning as ApproximateDerivativeWarning
 from .errors import ConstraintError as ConstraintError
 from .errors import ContactviError as ContactviError

@@ -328,6 +328,13 @@ class UntestedPairWarning(UserWarning):
     """
 
 
+class AngleUnitWarning(UserWarning):
+    """An angle of more than a turn was given where a joint or a placement has less: are these degrees? They are rad.
+
+    Of joints without end, whose angles may be any, and of the files of models nothing is said.
+    """
+
+
 class DeprecatedWarning(FutureWarning):
     """An old name, or an old meaning of one, that is understood for this release; the text says the new one."""
 

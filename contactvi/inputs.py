@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 import numbers
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError, did_you_mean
+from contactvi.aliases import callers
+from contactvi.errors import AngleUnitWarning, InputError, did_you_mean
 
 Array = NDArray[np.float64]
 UNIT_TOLERANCE = 1e-6  # of a norm; a quaternion with seven digits passes, one that is not normalised does not
@@ -347,23 +349,26 @@ def unit_quaternion(name: str, value: Any) -> Array:
     return array / length
 
 
-def pose(name: str, value: Any) -> pin.SE3:
+def pose(name: str, value: Any, told: bool = False) -> pin.SE3:
     """Return a placement from None, pin.SE3, xyz, (xyz, rpy), (xyz, quaternion xyzw), these 7 numbers or a 4x4 matrix.
 
-    Lengths in m, roll-pitch-yaw in rad as in URDF (R = Rz(yaw) Ry(pitch) Rx(roll)).
+    Lengths in m, roll-pitch-yaw in rad as in URDF (R = Rz(yaw) Ry(pitch) Rx(roll)); of angles that may be degrees it
+    warns, unless that was told before.
     """
     if value is None:
         return pin.SE3.Identity()
     if isinstance(value, pin.SE3):
         _check_pose(name, value)
         return value.copy()
-    if isinstance(value, Sequence) and len(value) == 2 and not isinstance(value, str):
+    shape = shape_of(value)
+    if isinstance(value, Sequence) and len(value) == 2 and not isinstance(value, str) and shape != (2,):
         xyz = vector(f"{name} xyz", value[0], 3)
         if shape_of(value[1]) == (4,):
             return pin.XYZQUATToSE3(np.concatenate([xyz, unit_quaternion(name, np.asarray(value[1], dtype=float))]))
         rpy = vector(f"{name} rpy", value[1], 3)
+        if not told:
+            warn_of_degrees(f"{name} rpy", rpy)
         return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
-    shape = shape_of(value)
     if shape == (3,):
         return pin.SE3(np.eye(3), vector(name, value, 3))
     if shape == (7,):
@@ -381,6 +386,17 @@ def pose(name: str, value: Any) -> pin.SE3:
         got=short(value),
         remedy="Give a position (x, y, z), or ((x, y, z), (roll, pitch, yaw)) with a turn",
     )
+
+
+def warn_of_degrees(name: str, angles: Any) -> None:
+    """Warn (AngleUnitWarning) of angles [rad] of more than a turn: they may be degrees."""
+    largest = float(np.abs(angles).max(initial=0.0))
+    if largest > 2.0 * math.pi:
+        warnings.warn(
+            f"{name}: {largest:g} rad is more than a turn. Angles are in rad: np.deg2rad({largest:g}) ="
+            f" {math.radians(largest):.4g}, if these are degrees",
+            AngleUnitWarning, stacklevel=callers(),
+        )  # fmt: skip
 
 
 def is_rigid(matrix: Array) -> bool:

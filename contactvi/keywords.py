@@ -14,7 +14,7 @@ import types
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, get_type_hints
 
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import InputError, did_you_mean, nearest
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
@@ -32,7 +32,7 @@ _SYNONYMS = {
     "control": "tau u torque torques inputs controls",
     "radius": "r",
     "mass": "m",
-    "size": "dims dimensions extents sizes lengths half_extents",
+    "size": "dims dimensions extents sizes lengths",
     "placement": "pos position xyz pose location origin",
     "color": "colour rgba rgb",
     "stiffness": "k spring_constant",
@@ -51,6 +51,27 @@ _ELSEWHERE = {  # what has another place
     "stiffness": "Joints have it: scene.set_joint(joint, stiffness=...)",
     "damping": "Joints have it: scene.set_joint(joint, damping=...)",
 }
+_TOLD = {  # (what others call it, a known name) -> what is said of it
+    ("half_extents", "size"): "Did you mean 'size', the full edges: twice as long?",
+    ("half_size", "size"): "Did you mean 'size', the full edges: twice as long?",
+    ("halfsize", "size"): "Did you mean 'size', the full edges: twice as long?",
+    **{
+        (word, "order"): "Integrators differ by order=2, 4, ... 16, impact maps by impact='ctec', 'dtec' or 'mhc'"
+        for word in ("method", "integrator", "scheme", "solver")
+    },
+}
+# Names of other programs -> the name of an attribute here.
+_ATTRIBUTES = {
+    "add_halfspace": "add_plane add_ground add_floor add_ground_plane plane ground",
+    "add_box": "add_cube add_cuboid add_block",
+    "add_sphere": "add_ball",
+    "from_mjcf": "from_xml from_xml_path load_mjcf",
+    "add_urdf": "load_urdf from_urdf load_model",
+    "simulate": "run rollout integrate",
+    "Simulator": "Simulation Sim",
+    "Scene": "World Model System",
+}
+_NAMED = {word: name for name, words in _ATTRIBUTES.items() for word in words.split()}
 _COUNTS = ("steps", "n_steps", "num_steps", "nsteps", "N")
 
 
@@ -62,6 +83,9 @@ def synonym(name: str) -> str:
 def meant(name: str, known: Iterable[str]) -> str:
     """Return the remedy for an unknown name: what others call a known one, where it belongs, or the nearest one."""
     names = list(known)
+    for choice in names:
+        if (name, choice) in _TOLD:
+            return _TOLD[name, choice]
     word = _MEANT.get(name, name)
     for choice in (word, f"{word}s"):
         if choice in names and choice != name:
@@ -69,6 +93,14 @@ def meant(name: str, known: Iterable[str]) -> str:
     if name in _COUNTS and "duration" in names:
         return "Give duration=..., the number of steps times dt"
     return _ELSEWHERE[word] if word in _ELSEWHERE else did_you_mean(name, names)
+
+
+def no_attribute(owner: str, name: str, known: Iterable[str]) -> str:
+    """Return the text of the AttributeError for a name that a module or an object has not, with the nearest one."""
+    names = [choice for choice in known if not choice.startswith("_")]
+    near = _NAMED.get(name)
+    near = near if near in names else nearest(name, names, cutoff=0.6)
+    return f"{owner} has no attribute {name!r}." + ("" if near is None else f" Did you mean {near!r}?")
 
 
 def check_keywords(function: Callable[..., Any], given: Iterable[str], caller: str, skip: Iterable[str] = ()) -> None:

@@ -397,6 +397,15 @@ def test_a_free_body_of_nearly_no_mass(tmp_path):
     assert caught.value.joint == "root_joint"
 
 
+def test_a_base_without_mass_is_named(tmp_path):
+    """The cart slides on a rail of no mass: what has to get an inertial is the rail, before the joint."""
+    text = robot('<link name="rail"/>', link("cart"), joint(kind="prismatic", parent="rail", child="cart"))
+    (tmp_path / "cart.urdf").write_text(text)
+    with pytest.raises(SceneError, match="moves no mass") as caught:
+        Scene().add_urdf(tmp_path / "cart.urdf", base="free")
+    assert "Give the link 'rail' an <inertial>" in caught.value.remedy
+
+
 def test_two_hinges_on_one_axis_with_one_body():
     """Each hinge has the inertia of the body behind it, and turning one against the other moves nothing."""
     model = pin.Model()

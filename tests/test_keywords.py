@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -175,3 +177,51 @@ def test_tol_beside_a_fixed_step_is_told_in_the_words_of_the_command_line(comman
     assert "DeprecatedWarning" not in result.stderr
     assert cvi.Trajectory.load("out/trajectory.npz").options.solver_tol == 1e-9
     assert np.isnan(cvi.Trajectory.load("out/trajectory.npz").error_estimate)
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda: cvi.Simulation, "contactvi has no attribute 'Simulation'. Did you mean 'Simulator'?"),
+        (lambda: cvi.Trajektory, "Did you mean 'Trajectory'?"),
+        (lambda: cvi.Scene().add_plane, "A scene has no attribute 'add_plane'. Did you mean 'add_halfspace'?"),
+        (lambda: cvi.Scene().set_contacts, "Did you mean 'set_contact'?"),
+    ],
+)
+def test_an_attribute_that_is_not_there_leads_to_the_right_one(ask, says):
+    with pytest.raises(AttributeError) as told:
+        ask()
+    assert says in str(told.value)
+
+
+def test_names_of_python_are_asked_for_as_ever():
+    """hasattr, copies and pickles ask for names that a scene has not; submodules are imported by `from`."""
+    scene = ball_scene()
+    assert not hasattr(scene, "__array__")
+    assert not hasattr(cvi, "__wrapped__")
+    assert copy.deepcopy(scene).nq == pickle.loads(pickle.dumps(scene)).nq
+    from contactvi import verify  # noqa: F401
+
+
+def test_half_extents_are_told_to_be_half():
+    with pytest.raises(cvi.InputError, match="'size', the full edges: twice as long"):
+        cvi.Scene().add_box("box", half_extents=(0.1, 0.1, 0.1))
+
+
+def test_two_numbers_are_no_placement():
+    with pytest.raises(cvi.InputError, match=r"got \(0, 0\)\. Give a position \(x, y, z\)"):
+        cvi.Scene().add_box("box", (0.1, 0.1, 0.1), placement=(0, 0))
+
+
+def test_a_method_is_an_order_or_an_impact_map():
+    with pytest.raises(cvi.InputError, match="order=2, 4, .* impact='ctec'"):
+        cvi.simulate(ball_scene(), method="rk4", duration=1.0)
+
+
+def test_parts_without_joints_are_no_joints():
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_urdf("models/double_pendulum.urdf")
+    with pytest.raises(cvi.InputError, match="Use one of 'joint_1', 'joint_2', 'double_pendulum'") as told:
+        scene.set_joint("wrist", damping=1.0)
+    assert "ground" not in told.value.remedy

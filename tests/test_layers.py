@@ -158,6 +158,8 @@ def python_unit(parts: tuple[str, ...], root: Path) -> str:
     """The unit of a dotted name below contactvi: the longest beginning that is a module, else the public names."""
     if parts[:1] == ("_core",):
         return "_core"
+    if parts == ("__main__",):  # `python -m contactvi`, the command line
+        return "commands.__main__"
     if parts and (root / f"{parts[0]}.py").is_file():
         return f"{'adapters' if parts[0] in ADAPTERS else 'base'}.{parts[0]}"
     for count in range(len(parts), 0, -1):

@@ -9,16 +9,20 @@ import typer
 from rich.console import Console
 
 from contactvi.commands.console import Force
+from contactvi.commands.output import run_file
+from contactvi.commands.pictures import RunFile
 from contactvi.tables import name_table, print_table
 
 _out = Console(highlight=False, soft_wrap=True)
 
 
 def export(
-    file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
+    run: RunFile,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder for the tables, by default the name of the run."),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Folder for the tables, by default the run's name without .npz."
+        ),
     ] = None,
     table: Annotated[
         list[str] | None,
@@ -32,10 +36,12 @@ def export(
 ) -> None:
     """Write tables of a run as CSV, and their units as units.csv.
 
-    Tables are states, poses, energies, events, contacts, changes and dense_steps, with --sample-dt or --table forces.
+    Tables are states, poses, energies, efforts, events, contacts, changes and dense_steps, with --sample-dt or --table
+    forces.
     """
     import contactvi as cvi
 
+    file = run_file(run)
     traj = cvi.Trajectory.load(file)
     written = traj.to_csv(
         output if output is not None else file.with_suffix(""), table or None, sample_dt, overwrite=force

@@ -84,6 +84,11 @@ def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool, **sty
     return [save_figure(figure(traj), name, overwrite=True, **style) for name, figure in drawn.items()]
 
 
+def run_file(run: Path) -> Path:
+    """Return the file of a run that is given as its file or as the folder that `contactvi run` has made."""
+    return run / RUN if run.is_dir() else run
+
+
 def run_title(file: Path) -> str:
     """Return a name for the playback: the file's, or its folder's where the file has the name every run has."""
     parent = file.resolve().parent.name

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 
 from contactvi.commands.console import Force, make_folder, out
-from contactvi.commands.output import run_title
+from contactvi.commands.output import RUN, draw_plots, run_file, run_title
 
 CameraOption = Annotated[
     str | None,
@@ -20,7 +20,9 @@ CameraOption = Annotated[
         "by default the scene's.",
     ),
 ]
-RunFile = Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)]
+RunFile = Annotated[
+    Path, typer.Argument(metavar="RUN", help="Folder of a run, or its file (.npz).", show_default=False)
+]
 
 
 def camera_value(text: str | None) -> Any:
@@ -31,7 +33,7 @@ def camera_value(text: str | None) -> Any:
 
 
 def play(
-    file: RunFile,
+    run: RunFile,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write, by default beside the run."),
@@ -44,7 +46,7 @@ def play(
     """Write the playback of a run as a page of its own and open it in the browser."""
     import contactvi as cvi
 
-    chosen = camera_value(camera)
+    chosen, file = camera_value(camera), run_file(run)
     traj = cvi.Trajectory.load(file)
     target = output or file.with_suffix(".html")
     again = force or (output is None and _is_page(target))  # the page of this run is made anew
@@ -55,9 +57,7 @@ def play(
 
 
 def plot_run(
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Folder of a run, or its file (.npz).", show_default=False)
-    ],
+    run: RunFile,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for the plots, by default the run's.")
     ] = None,
@@ -68,12 +68,11 @@ def plot_run(
     force: Force = False,
 ) -> None:
     """Draw the energy of a run and its contact forces, as energy.png and forces.png, and open them."""
-    from contactvi.commands.output import RUN, draw_plots
     from contactvi.inputs import check_choice
     from contactvi.trajectory.trajectory import Trajectory
 
     check_choice("format", kind, ("png", "svg"), "Unknown format of a plot")
-    file = run / RUN if run.is_dir() else run
+    file = run_file(run)
     again = force or (output is None and file.name == RUN)  # of a folder that contactvi run has made
     traj = Trajectory.load(file)
     folder = file.parent if output is None else output
@@ -93,7 +92,7 @@ def _is_page(path: Path) -> bool:
 
 
 def render(
-    file: RunFile,
+    run: RunFile,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FILE", help="Ends with .gif, .mp4 or .png; by default RUN.gif."),
@@ -117,7 +116,7 @@ def render(
     """Draw a run as a GIF, an MP4 or a PNG, by Chromium without a window; an MP4 needs ffmpeg."""
     import contactvi as cvi
 
-    chosen = camera_value(camera)
+    chosen, file = camera_value(camera), run_file(run)
     traj = cvi.Trajectory.load(file)
     target = output or file.with_suffix(".gif" if at is None else ".png")
     written = traj.render(

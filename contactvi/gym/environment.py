@@ -35,9 +35,10 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
     """A scene as an environment of Gymnasium.
 
     An action has a number in [-1, 1] for each servo: how far its target is from a nominal one, over the largest such
-    distance. With actions="torque" it has one for each joint with one degree of freedom, in the order of v: how far
-    the torque is from a nominal one. It holds for a frame of some steps, by default 20 ms in ten; numbers beyond the
-    range are cut, and those of observations at +-100. Episodes of equal seeds and actions have equal bits.
+    distance. With actions="torque" it has one for each joint with one degree of freedom, in the order of v, or for
+    each of `joints`: how far the torque is from a nominal one. It holds for a frame of some steps, by default 20 ms in
+    ten; numbers beyond the range are cut, and those of observations at +-100. Episodes of equal seeds and actions have
+    equal bits.
 
     An episode is truncated after `duration`, and where the engine finds no way on. Each `info` has "time" [s] and
     "status", "SUCCESS" or why the engine has ended the run (`StatusCode`).
@@ -49,6 +50,8 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         observed: how many numbers an observation has.
         duration: of an episode [s].
         actions: "target" of the servos (`Scene.servo_joints`), or "torque".
+        joints: of actions="torque", those that are driven, by name or pattern, in this order; None: all with one degree
+            of freedom. Targets go to all servos.
         dt: of a step [s]. frame: number of steps between two actions.
         record: what the simulator records (`Options.record`); True: all of an episode, so that
             `env.unwrapped.simulator.trajectory()` has it, for example to_html("episode.html").
@@ -80,6 +83,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         record: bool = False,
         render_mode: str | None = None,
         actions: str = "target",
+        joints: Sequence[str] | str | None = None,
         dt: float = DT,
         frame: int = FRAME,
     ) -> None:
@@ -96,7 +100,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         check_choice("actions", actions, ACTIONS, "What actions are")
         self.simulator = Simulator(scene, dt, record="states" if record else False)
         self.frame, self._pushed = count("frame", frame), actions == "torque"
-        names, self._dofs = _driven(scene, self._pushed)
+        names, self._dofs = _driven(scene, self._pushed, joints)
         self.nominal = array("nominal", nominal, (len(names),), f"a number for each of {', '.join(names)}")
         self._reach = reach = array("reach", reach, (len(names),), f"a number for each of {', '.join(names)}")
         span = dt * self.frame
@@ -247,11 +251,29 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         return {"time": self.simulator.t, "status": code}
 
 
-def _driven(scene: Scene, pushed: bool) -> tuple[list[str], list[int]]:
-    """Return the joints that actions drive and their places in v; InputError where there are none."""
+def _driven(scene: Scene, pushed: bool, joints: Sequence[str] | str | None) -> tuple[list[str], list[int]]:
+    """Return the joints that actions drive and their places in v; InputError where there are none.
+
+    Args:
+        joints: as given; None: all that can be driven.
+    """
     model = scene.model
     single = [str(model.names[i]) for i in range(1, model.njoints) if model.nvs[i] == 1]
     names = single if pushed else scene.servo_joints
+    if joints is not None:
+        if not pushed:
+            raise InputError(
+                "Joints of actions that are targets", name="joints", expected='joints with actions="torque"',
+                got=short(joints), remedy="Leave joints out: targets go to the joints of scene.set_servo",
+            )  # fmt: skip
+        chosen = [joints] if isinstance(joints, str) else list(joints)
+        names = list(dict.fromkeys(name for selector in chosen for name in scene.names.select_joints(selector)))
+        wrong = [name for name in names if name not in single]
+        if wrong:
+            raise InputError(
+                f"Joint {wrong[0]!r} has several degrees of freedom", name="joints", expected="joints with one",
+                got=repr(wrong[0]), remedy=did_you_mean(wrong[0], single),
+            )  # fmt: skip
     if not names:
         raise InputError(
             "The scene has nothing that an action drives", name="scene",

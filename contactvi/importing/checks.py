@@ -24,6 +24,7 @@ MOST_DOFS = 4000  # of one model: its mass matrix is checked by its eigenvalues,
 SINGULAR = 1e-12  # eigenvalue of the scaled mass matrix below which a motion has no inertia
 FILE_FRICTION = "joint friction"  # beginning of the note on the friction that a file gives a joint
 NEARLY_SINGULAR = 1e-9  # such an eigenvalue of one pose below which velocities have at most half of their digits
+_STILL = 1e-6  # of the largest velocity: less is the rounding of a motion that was computed
 FAST_DAMPING = 1e3  # [1/s] damping / inertia above which a motion dies within a millisecond
 
 
@@ -236,7 +237,8 @@ def check_mass(
             joint=name,
             expected="a positive mass or inertia behind every joint",
             got=_no_inertia(diagonal[worst], least),
-            remedy="Give the links behind it an <inertial>, make the joint fixed, or give it an armature: "
+            remedy=f"Give {_moved_by_nothing(model, own, generic, followers)} an <inertial>, make the joint fixed, or "
+            "give it an armature: "
             f"add_urdf(..., armature={{{name!r}: 1e-4}}), or model.armature of a Pinocchio model",
         )
     _, here, worst = _least_inertia(own, q, NEARLY_SINGULAR, model, followers)
@@ -257,6 +259,29 @@ def _no_inertia(own: float, least: float) -> str:
     return (
         f"a motion of this joint and others together that moves nothing ({least:.1g} of their inertias; {own:g} about "
         "this joint alone)"
+    )
+
+
+def _moved_by_nothing(model: pin.Model, own: EngineModel, q: np.ndarray, followers: Sequence[Coupled]) -> str:
+    """Name the links that move in the motion without inertia at q: what is behind a joint, or the base before it."""
+    from scipy.linalg import eigh
+
+    S = coupled_basis(model, followers)
+    mass = S.T @ np.asarray(own.mass_matrix(q)) @ S
+    diagonal, _, worst = _least_of(mass, SINGULAR)
+    motion = S[:, worst]
+    if diagonal[worst] >= np.finfo(float).tiny:
+        scale = 1.0 / np.sqrt(diagonal)
+        motion = S @ (scale * eigh(scale[:, None] * mass * scale, subset_by_index=[0, 0])[1][:, 0])
+    data = model.createData()
+    pin.forwardKinematics(model, data, q, motion)
+    speeds = np.array([np.linalg.norm(velocity.vector) for velocity in data.v])
+    moved = np.flatnonzero(speeds > _STILL * speeds.max())
+    links = [f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint in moved]
+    names = links or [f"what joint {model.names[i]!r} moves" for i in moved]
+    shown = [repr(name) if links else name for name in names[:3]]
+    return ("the link " if len(links) == 1 else "the links " if links else "") + ", ".join(
+        [*shown, *(["..."] if len(names) > 3 else [])]
     )
 
 

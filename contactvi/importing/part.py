@@ -25,6 +25,9 @@ COLORS = (
     (0.40, 0.70, 0.35, 1.0),
     (0.80, 0.65, 0.20, 1.0),
     (0.55, 0.40, 0.75, 1.0),
+    (0.20, 0.65, 0.65, 1.0),
+    (0.85, 0.45, 0.65, 1.0),
+    (0.50, 0.35, 0.25, 1.0),
 )
 GROUND_COLOR = (0.75, 0.75, 0.72, 1.0)
 GROUND_SIZE = 2.0  # [m] edge of the plate that a halfspace is drawn as
@@ -80,6 +83,7 @@ class Part:
         surfaces: surfaces given by functions (contactvi.scene.surfaces), each by the name of the geometry, a halfspace,
             in whose place it stands.
         data: what else the file says.
+        place: how many parts the scene had before it; bodies without a colour have one by it.
     """
 
     name: str
@@ -99,6 +103,7 @@ class Part:
     mimics: Mapping[str, object] = field(default_factory=dict)
     surfaces: Mapping[str, Any] = field(default_factory=dict)
     data: FileData = field(default_factory=FileData)
+    place: int = 0
 
     def joint_names(self) -> list[str]:
         return [self.prefix + name for name in list(self.model.names)[1:]]
@@ -164,7 +169,7 @@ def shape_part(
         collision=collision,
         start=start,
         report=report,
-        load_pictures=lambda: shown(collision, rgba if rgba is not None else _color(name, bool(joint))),
+        load_pictures=lambda: shown(collision, rgba if rgba is not None else _color(part)),
         placement=pin.SE3.Identity() if joint else placement,
     )
     if joint:
@@ -201,9 +206,9 @@ def _check_inertia(name: str, inertia: pin.Inertia) -> None:
         )  # fmt: skip
 
 
-def _color(name: str, free: bool) -> Sequence[float]:
-    """Return the colour of a body without one: the same for the same name in every process."""
-    return COLORS[sum(name.encode()) % len(COLORS)] if free else GROUND_COLOR
+def _color(part: Part) -> Sequence[float]:
+    """Return the colour of a body without one: those that are added one after the other have different ones."""
+    return COLORS[part.place % len(COLORS)] if part.model.njoints > 1 else GROUND_COLOR
 
 
 def shown(collision: pin.GeometryModel, color: Sequence[float] | np.ndarray) -> list[Picture]:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 FORMATS = (".gif", ".mp4", ".png")
+_FILMS = (".avi", ".mkv", ".mov", ".webm", ".apng", ".m4v", "")  # what may be meant by other endings
 MAX_FRAMES = 5000
 _COLORS = 255  # of a GIF
 _SAMPLES = 6  # pictures whose colours make the palette of a GIF
@@ -141,7 +142,7 @@ def _kind(file: Path, at: float | None) -> str:
     if kind not in FORMATS:
         raise InputError(
             "Format of a picture", name="path", expected="a name ending in " + ", ".join(FORMATS),
-            got=short(file.name), remedy=f"Name it {file.stem}.gif",
+            got=short(file.name), remedy=f"Name it {file.stem}{'.gif' if at is None and kind in _FILMS else '.png'}",
         )  # fmt: skip
     if (at is None) == (kind == ".png"):
         remedy = "Give at=, the time of the picture" if at is None else "Leave at out, or write a .png"

@@ -42,7 +42,8 @@ _LIGHT = np.array([0.35, -0.45, 0.82])  # direction to it in the world
 _AMBIENT = 0.45
 _SKY = np.array([238.0, 241.0, 245.0])
 _TILES = 8.0  # of a halfspace, across what is shown
-_AT_ONCE = 4_000_000  # pixels of boxes around triangles that are looked at together
+_AT_ONCE = 4_000_000  # rows of triangles, or pixels, that are looked at together
+_ROUNDING = 1e-9  # [pixels] so that the pixels on an edge belong to both of its triangles, and to none never
 _PRESETS = {"front": (1.0, 0.0, 0.0), "side": (0.0, -1.0, 0.0), "top": (0.0, -1e-3, 1.0)}
 
 
@@ -79,7 +80,7 @@ class Sketch:
         view = fit(visuals, frames, trees, touches=Touches.expected(scene, q, trees))
         self._eye, self._target = _placed(view, chosen, self.width / self.height)
         self._tile = max(2.0 * view.radius / _TILES, 1e-6)
-        self._kept: _Canvas | None = None  # the planes, where neither they nor the camera move
+        self._kept: _Canvas | None = None  # planes and what is fixed, where neither planes nor the camera move
 
     def draw(self, q: Array) -> Picture:
         """Return the picture at q (nq,), shape (height, width, 3), red, green, blue."""
@@ -88,18 +89,18 @@ class Sketch:
         if self._followed is not None:
             shift = poses[self._followed][:3] - target
             eye, target = eye + shift, target + shift
-        canvas = self._ground(eye, target, poses)
+        canvas = self._still(eye, target, poses)
         for body in self._bodies:
-            pose = poses[body.joint]
-            canvas.add(pose[:3] + rotate(pose[None, 3:], body.points), rotate(pose[None, 3:], body.normals), body)
+            if body.joint != 0:
+                _draw(canvas, body, poses[body.joint])
         for line in self._lines:
             ends = zip(line.joints, line.vertices.astype(float), strict=True)
             path = [poses[joint][:3] + rotate(poses[joint][None, 3:], end)[0] for joint, end in ends]
             canvas.line(np.array(path), 255.0 * np.array(line.color or (0.2, 0.2, 0.2, 1.0))[:3])
         return canvas.picture()
 
-    def _ground(self, eye: Array, target: Array, poses: dict[int, Array]) -> _Canvas:
-        """Return the canvas with the halfspaces on it."""
+    def _still(self, eye: Array, target: Array, poses: dict[int, Array]) -> _Canvas:
+        """Return the canvas with the halfspaces on it, and with the bodies that are fixed to the world."""
         if self._kept is not None:
             return self._kept.copy()
         canvas = _Canvas(self.width * _SAMPLES, self.height * _SAMPLES, eye, target)
@@ -109,6 +110,9 @@ class Sketch:
             point = plane.placement[:3, 3] + plane.sizes[3] * normal
             turn = pose[None, 3:]
             canvas.plane(rotate(turn, normal)[0], pose[:3] + rotate(turn, point)[0], color, self._tile)
+        for body in self._bodies:
+            if body.joint == 0:
+                _draw(canvas, body, poses[0])
         if self._followed is None and all(plane.joint == 0 for plane, _ in self._planes):
             self._kept = canvas.copy()
         return canvas
@@ -116,20 +120,31 @@ class Sketch:
 
 @dataclass(frozen=True)
 class _Body:
-    """A mesh in the frame of its joint: points and unit normals (n, 3), triangles (m, 3), colour 0..255."""
+    """A mesh in the frame of its joint: points and unit normals (n, 3), triangles (m, 3), colour 0..255.
+
+    closed: whether its outside hides its inside, and all triangles turn the same way; it is not known of meshes.
+    """
 
     joint: int
     points: Array
     normals: Array
     faces: Indices
     color: Array
+    closed: bool
 
     @classmethod
     def of(cls, visual: Visual, color: Array) -> _Body:
         mesh = (visual.vertices, visual.faces) if visual.shape == "mesh" else outline_mesh(visual.shape, visual.sizes)
         points, normals, faces = creased(*mesh)
         turn, place = visual.placement[:3, :3], visual.placement[:3, 3]
-        return cls(visual.joint, points @ turn.T + place, normals @ turn.T, faces.astype(np.int64), color)
+        return cls(
+            visual.joint,
+            points @ turn.T + place,
+            normals @ turn.T,
+            faces.astype(np.int64),
+            color,
+            visual.shape != "mesh",
+        )
 
 
 class _Canvas:
@@ -143,7 +158,7 @@ class _Canvas:
         self._axes = np.array([side, np.cross(away, side), -away])  # right, up, ahead
         self._scale = 0.5 * min(width, height) / np.tan(_HALF_ANGLE)  # [pixels] of what is 1 aside at a depth of 1
         self._near = 1e-3 * float(np.linalg.norm(eye - target))
-        self._color = np.tile(_SKY, (width * height, 1))
+        self._color = np.tile(_SKY.astype(np.float32), (width * height, 1))
         self._nearness = np.zeros(width * height)  # 1 / depth [1/m]
 
     def copy(self) -> _Canvas:
@@ -173,7 +188,7 @@ class _Canvas:
         self._color[seen], self._nearness[seen] = (1.0 - far) * tone + far * _SKY, nearness[seen]
 
     def add(self, points: Array, normals: Array, body: _Body) -> None:
-        """Draw the triangles of a body that are turned to the eye."""
+        """Draw the triangles of a body; of a closed one those that are turned to the eye."""
         seen = (points - self._eye) @ self._axes.T
         ahead = seen[:, 2]
         place = self._scale * seen[:, :2] / np.maximum(ahead, self._near)[:, None]
@@ -181,7 +196,7 @@ class _Canvas:
         shade = _AMBIENT + (1.0 - _AMBIENT) * np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
         a, b, c = body.faces.T
         area = (x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a])
-        front = (area != 0.0) & (ahead[body.faces].min(axis=1) > self._near)
+        front = (area < 0.0 if body.closed else area != 0.0) & (ahead[body.faces].min(axis=1) > self._near)
         corners = body.faces[front]
         self._fill(x[corners], y[corners], 1.0 / ahead[corners], shade[corners], body.color)
 
@@ -199,62 +214,86 @@ class _Canvas:
             row = (0.5 * self.height - place[:, 1:] + np.tile(np.arange(-1, 2), 3)).astype(int)
             kept = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
             pixel = (row * self.width + column)[kept]
-            self._put(pixel, np.broadcast_to(depth, column.shape)[kept], np.ones((len(pixel), 1)) * color)
+            self._put(pixel, np.broadcast_to(depth, column.shape)[kept], np.ones(len(pixel)), color)
 
     def picture(self) -> Picture:
         """Return the picture at its own size."""
-        blocks = self._color.reshape(self.height // _SAMPLES, _SAMPLES, self.width // _SAMPLES, _SAMPLES, 3)
-        return np.asarray(np.rint(np.clip(blocks.mean(axis=(1, 3)), 0.0, 255.0)), np.uint8)
+        fine = self._color.reshape(self.height, self.width, 3)
+        parts = [fine[i::_SAMPLES, j::_SAMPLES] for i in range(_SAMPLES) for j in range(_SAMPLES)]
+        mean = sum(parts[1:], start=parts[0]) / np.float32(len(parts))
+        return np.asarray(np.rint(np.clip(mean, 0.0, 255.0)), np.uint8)
 
     def _fill(self, x: Array, y: Array, nearness: Array, shade: Array, color: Array) -> None:
-        """Draw triangles of places x, y [pixels], 1 / depth [1/m] and shades at their corners, (m, 3) each."""
-        left, top = (np.maximum(np.ceil(p.min(axis=1) - 0.5), 0.0).astype(np.int64) for p in (x, y))
-        right, bottom = (
-            np.minimum(np.floor(p.max(axis=1) - 0.5), most - 1.0).astype(np.int64)
-            for p, most in ((x, self.width), (y, self.height))
-        )
-        columns, rows = right - left + 1, bottom - top + 1
-        inside = np.flatnonzero((columns > 0) & (rows > 0))
-        if not len(inside):
-            return
-        parts = np.cumsum((columns * rows)[inside]) // _AT_ONCE
-        for part in np.unique(parts):
-            chosen = inside[parts == part]
-            own = np.repeat(chosen, (columns * rows)[chosen])  # the triangle of each pixel of its box
-            first = np.cumsum((columns * rows)[chosen]) - (columns * rows)[chosen]
-            number = np.arange(len(own)) - np.repeat(first, (columns * rows)[chosen])
-            column, row = left[own] + number % columns[own], top[own] + number // columns[own]
-            self._shaded(own, column, row, x, y, nearness, shade, color)
+        """Draw triangles of places x, y [pixels], 1 / depth [1/m] and shades at their corners, (m, 3) each.
 
-    def _shaded(
-        self,
-        own: Indices,
-        column: Indices,
-        row: Indices,
-        x: Array,
-        y: Array,
-        nearness: Array,
-        shade: Array,
-        color: Array,
+        Each is cut into its rows, and each row into the span between two edges: both are linear in the place, and so
+        are depth and shade along it.
+        """
+        top = np.maximum(np.ceil(y.min(axis=1) - 0.5), 0.0).astype(np.int64)
+        bottom = np.minimum(np.floor(y.max(axis=1) - 0.5), self.height - 1.0).astype(np.int64)
+        rows = np.maximum(bottom - top + 1, 0)
+        parts = np.cumsum(rows) // _AT_ONCE
+        for part in np.unique(parts):
+            own, row = _counted(np.flatnonzero((parts == part) & (rows > 0)), rows)
+            self._spans(own, top[own] + row, x, y, nearness, shade, color)
+
+    def _spans(
+        self, own: Indices, row: Indices, x: Array, y: Array, nearness: Array, shade: Array, color: Array
     ) -> None:
-        """Draw those pixels that lie in their triangle; what is asked of corners is weighted by their areas."""
-        px, py = column + 0.5, row + 0.5
-        whole = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
-        weights = np.empty((3, len(own)))
+        """Draw rows of triangles: own (n,) says of which, row (n,) which of the picture; the rest as `_fill`."""
+        low, high = np.full(len(own), -np.inf), np.full(len(own), np.inf)
+        height = row + 0.5
         for k in range(3):
             i, j = (k + 1) % 3, (k + 2) % 3
-            edge = (x[own, j] - x[own, i]) * (py - y[own, i]) - (y[own, j] - y[own, i]) * (px - x[own, i])
-            weights[k] = edge / whole[own]
-        hit = np.flatnonzero((weights >= 0.0).all(axis=0))
-        weights, own = weights[:, hit], own[hit]
-        depth, tone = ((weights * values[own].T).sum(axis=0) for values in (nearness, shade))
-        self._put(column[hit] + self.width * row[hit], depth, tone[:, None] * color)
+            xi, yi, rise = x[own, i], y[own, i], y[own, j] - y[own, i]
+            steep = rise != 0.0
+            cut = xi + np.divide((height - yi) * (x[own, j] - xi), rise, out=np.zeros(len(own)), where=steep)
+            # An edge that ends at or above the row of centres and begins below it bounds the span there.
+            crossed = steep & (np.minimum(yi, yi + rise) <= height) & (height <= np.maximum(yi, yi + rise))
+            low = np.where(crossed, np.where(np.isinf(low), cut, np.minimum(low, cut)), low)
+            high = np.where(crossed, np.where(np.isinf(high), cut, np.maximum(high, cut)), high)
+        known = np.isfinite(low)
+        first = np.ceil(np.clip(low[known] - 0.5 - _ROUNDING, 0.0, self.width)).astype(np.int64)
+        last = np.floor(np.clip(high[known] - 0.5 + _ROUNDING, -1.0, self.width - 1.0)).astype(np.int64)
+        own, row, count = own[known], row[known], np.maximum(last - first + 1, 0)
+        slopes = _slopes(x, y, nearness), _slopes(x, y, shade)
+        starts = [
+            values[own, 0] + along[own] * (first + 0.5 - x[own, 0]) + down[own] * (row + 0.5 - y[own, 0])
+            for values, (along, down) in zip((nearness, shade), slopes, strict=True)
+        ]
+        parts = np.cumsum(count) // _AT_ONCE
+        for part in np.unique(parts):
+            span, place = _counted(np.flatnonzero((parts == part) & (count > 0)), count)
+            depth, tone = (
+                start[span] + along[own[span]] * place for start, (along, _) in zip(starts, slopes, strict=True)
+            )
+            self._put(self.width * row[span] + first[span] + place, depth, tone, color)
 
-    def _put(self, pixel: Indices, nearness: Array, color: Array) -> None:
-        """Set pixels where nothing nearer is; of one pixel's several the nearest, which is written last."""
+    def _put(self, pixel: Indices, nearness: Array, tone: Array, color: Array) -> None:
+        """Set pixels to tones of a colour where nothing nearer is; of one pixel's several to that of the nearest."""
         kept = np.flatnonzero(nearness > self._nearness[pixel])
-        kept = kept[np.argsort(nearness[kept], kind="stable")]
-        self._color[pixel[kept]], self._nearness[pixel[kept]] = color[kept], nearness[kept]
+        pixel, nearness = pixel[kept], nearness[kept]
+        np.maximum.at(self._nearness, pixel, nearness)
+        seen = nearness == self._nearness[pixel]
+        self._color[pixel[seen]] = tone[kept[seen], None] * color
+
+
+def _draw(canvas: _Canvas, body: _Body, pose: Array) -> None:
+    canvas.add(pose[:3] + rotate(pose[None, 3:], body.points), rotate(pose[None, 3:], body.normals), body)
+
+
+def _counted(chosen: Indices, counts: Indices) -> tuple[Indices, Indices]:
+    """Return each of `chosen` as often as `counts` says of it, and beside it 0, 1, 2, ... for its repetitions."""
+    own = counts[chosen]
+    return np.repeat(chosen, own), np.arange(own.sum()) - np.repeat(np.cumsum(own) - own, own)
+
+
+def _slopes(x: Array, y: Array, values: Array) -> tuple[Array, Array]:
+    """Return by how much linear functions with these values at corners, (m, 3), change along x and y, (m,) each."""
+    whole = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
+    one, two = values[:, 1] - values[:, 0], values[:, 2] - values[:, 0]
+    along = (one * (y[:, 2] - y[:, 0]) - two * (y[:, 1] - y[:, 0])) / whole
+    return along, (two * (x[:, 1] - x[:, 0]) - one * (x[:, 2] - x[:, 0])) / whole
 
 
 def _placed(view: View, camera: Camera, aspect: float) -> tuple[Array, Array]:

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from contactvi.aliases import alias
 from contactvi.errors import InputError
-from contactvi.html import html_fields, html_table
-from contactvi.inputs import real
+from contactvi.html import html_fields
+from contactvi.inputs import flag, real
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import LIMITS, label
 from contactvi.records.force_sums import BRIEF, mean_forces
-from contactvi.records.rows import Array, Arrays, Fields, Items, Rows, StepRows, joined
+from contactvi.records.rows import Array, Arrays, Fields, Items, Printed, Rows, StepRows, joined
 from contactvi.records.shape_names import Groups, ShapeNames, matching_pairs
 
 # The order is that of the file format.
@@ -112,7 +112,7 @@ class Contact:
         return html_fields("Contact", fields | {"gap": f"{self.gap:.3g} m"})
 
 
-class ContactLog(StepRows, Items[Contact]):
+class ContactLog(Printed, StepRows, Items[Contact]):
     """The contacts of a run, a sequence of `Contact` in the order of time, and the same data as arrays.
 
     `log[3]` is a Contact; `log.impulse`, `log.force`, `log.t`, ... are arrays of all rows, shape (m,) or (m, 3);
@@ -229,26 +229,29 @@ class ContactLog(StepRows, Items[Contact]):
         """
         return self.rows(self._between(a, b)[self._guards[1]])
 
-    def force_of(self, a: Any, b: Any) -> tuple[Array, Array]:
+    def force_of(self, a: Any, b: Any, zeros: bool = False) -> tuple[Array, Array]:
         """Return (t (k,) [s], force (k, 3) [N]) between two bodies while they are in persistent contact.
 
         Names, times and forces are as in `of` and `on`. The force acts on the second shape of the pair as `pairs` names
         it; of several pairs on the side of the first one's second shape. For a limit it is the first component.
+        `zeros` as in `on`.
         """
         chosen = self._between(a, b)
         rows = chosen[self._guards[1]] & (self.h > 0.0)
         pairs = [pair for pair, its in zip(self.pairs, chosen, strict=True) if its]
         if len(pairs) == 1:
-            return self._mean(rows, np.ones(int(rows.sum())))
+            return self._mean(rows, np.ones(int(rows.sum())), zeros)
         sides = [self._shapes.of(name) for name in (a, b)]
-        return self._mean(rows, self._signs(sides[pairs[0][1] in sides[1]])[rows])
+        return self._mean(rows, self._signs(sides[pairs[0][1] in sides[1]])[rows], zeros)
 
-    def on(self, body: Any) -> tuple[Array, Array]:
+    def on(self, body: Any, zeros: bool = False) -> tuple[Array, Array]:
         """Return (t (k,) [s], force (k, 3) [N]): the sum of all contact forces on a body, step by step.
 
         Args:
             body: name of a part, body or shape, a pattern over these, several of them, or a handle of the scene; its
                 shapes count as one body.
+            zeros: add rows of force 0 where contact ended and where it began again, so that a line through the rows
+                is zero in a flight. There are no rows in it otherwise, and a line would join those before and after.
 
         Times are the middles of the steps in which it had persistent contact; forces are means over the time of contact
         in them. Parts of a step that end at changes of contacts are taken together, and steps whose contact is shorter
@@ -259,7 +262,7 @@ class ContactLog(StepRows, Items[Contact]):
         """
         signs = self._signs(self._shapes.of(body))
         chosen = (signs != 0.0) & (self.h > 0.0)
-        return self._mean(chosen, signs[chosen])
+        return self._mean(chosen, signs[chosen], zeros)
 
     def impulse_on(self, body: Any) -> Array:
         """Return the sum of all contact impulses on a body, impacts included [N s], world axes, shape (3,).
@@ -290,9 +293,9 @@ class ContactLog(StepRows, Items[Contact]):
             if self.pairs else "Nothing touched in this run",
         )  # fmt: skip
 
-    def _mean(self, chosen: NDArray[np.bool_], signs: Array) -> tuple[Array, Array]:
-        step = self._arrays["step"][chosen]
-        return mean_forces(self.t[chosen], self.h[chosen], step, signs[:, None] * self.impulse[chosen])
+    def _mean(self, chosen: NDArray[np.bool_], signs: Array, zeros: bool) -> tuple[Array, Array]:
+        step, impulse = self._arrays["step"][chosen], signs[:, None] * self.impulse[chosen]
+        return mean_forces(self.t[chosen], self.h[chosen], step, impulse, flag("zeros", zeros))
 
     def _signs(self, shapes: set[str]) -> Array:
         """+1 where the second shape is one of these, -1 where the first is, 0 where both or none are, shape (m,)."""
@@ -308,9 +311,8 @@ class ContactLog(StepRows, Items[Contact]):
     def __repr__(self) -> str:
         return f"<ContactLog: {len(self)} rows of {len(self.pairs)} pairs>"
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: the first rows and the last ones."""
-        rows = [
+    def _brief(self) -> tuple[str, Sequence[str], list[Sequence[str] | None]]:
+        rows: list[Sequence[str] | None] = [
             None if c is None else (
                 f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode,
                 f"{c.normal_force:.6g}" if c.h > 0.0 else "",
@@ -318,7 +320,7 @@ class ContactLog(StepRows, Items[Contact]):
             ) for c in self._shown()
         ]  # fmt: skip
         heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse, friction included [N s]")
-        return html_table(f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows)
+        return f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows
 
     def _item(self, i: int) -> Contact:
         row = {name: values[i] for name, values in self._arrays.items()}
@@ -355,7 +357,7 @@ class ContactChange:
         return f"t = {self.time:.9g} s  {self.pair[0]} | {self.pair[1]}  {self.change}"
 
 
-class ChangeLog(Rows, Items[ContactChange]):
+class ChangeLog(Printed, Rows, Items[ContactChange]):
     """The changes of contacts in a run, in the order of time; `log.array("time")` is one of CHANGE_FIELDS as array."""
 
     _fields = CHANGE_FIELDS
@@ -377,11 +379,12 @@ class ChangeLog(Rows, Items[ContactChange]):
     def __repr__(self) -> str:
         return f"<ChangeLog: {len(self)} changes>"
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: the first changes and the last ones."""
-        rows = [None if c is None else (f"{c.time:.6g}", " | ".join(c.pair), str(c.point), c.change)
-                for c in self._shown()]  # fmt: skip
-        return html_table(f"Contact changes: {len(self)}", ("t [s]", "pair", "point", "change"), rows)
+    def _brief(self) -> tuple[str, Sequence[str], list[Sequence[str] | None]]:
+        rows: list[Sequence[str] | None] = [
+            None if c is None else (f"{c.time:.6g}", " | ".join(c.pair), str(c.point), c.change)
+            for c in self._shown()
+        ]  # fmt: skip
+        return f"Contact changes: {len(self)}", ("t [s]", "pair", "point", "change"), rows
 
     def _item(self, i: int) -> ContactChange:
         row = {name: values[i] for name, values in self._arrays.items()}

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.html import html_table
 from contactvi.records.codes import FALLBACKS, KINDS, METHODS, GuardKind
-from contactvi.records.rows import Arrays, Items, Rows
+from contactvi.records.rows import Arrays, Items, Printed, Rows
 
 _SAME_TIME = 1e-13  # relative: events so near to the start of a step happen there
 
@@ -123,7 +122,7 @@ class Event:
         )
 
 
-class EventLog(Rows, Items[Event]):
+class EventLog(Printed, Rows, Items[Event]):
     """The events of a run in the order of time: a sequence of `Event`, and the same data as arrays.
 
     `log[3]` is an Event, `log.array("impulse")` the array of all impulses, shape (n,); kind, method and fallback are
@@ -183,19 +182,15 @@ class EventLog(Rows, Items[Event]):
     def __repr__(self) -> str:
         return f"<EventLog: {len(self)} events>"
 
-    def _repr_html_(self) -> str:
-        return self.html()
-
-    def html(self) -> str:
-        """Return what a notebook shows: the first impacts and the last ones."""
-        rows = [
+    def _brief(self) -> tuple[str, Sequence[str], list[Sequence[str] | None]]:
+        rows: list[Sequence[str] | None] = [
             None if e is None else (
                 f"{e.time:.9g}", " | ".join(e.pair), str(e.points), f"{e.impulse:.6g}", f"{e.gamma_minus:.6g}",
                 f"{e.gamma_plus:.6g}", f"{e.loss:.6g}",
             ) for e in self._shown()
         ]  # fmt: skip
         heads = ("t [s]", "pair", "points", "normal impulse [N s]", "speed before [m/s]", "after [m/s]", "loss [J]")
-        return html_table(f"Impacts: {len(self)} ({self.method.upper()})", heads, rows)
+        return f"Impacts: {len(self)} ({self.method.upper()})", heads, rows
 
     def _item(self, i: int) -> Event:
         values: dict[str, Any] = {}

@@ -13,7 +13,9 @@ BRIEF = 1e-3
 _WHOLE = 0.5  # of the longest part of its step: from this length on parts are a step of a curve
 
 
-def mean_forces(t: Array, h: Array, step: NDArray[np.int64], impulse: Array) -> tuple[Array, Array]:
+def mean_forces(
+    t: Array, h: Array, step: NDArray[np.int64], impulse: Array, zeros: bool = False
+) -> tuple[Array, Array]:
     """Return the middles (k,) [s] of steps in contact and the mean force (k, 3) [N] over each.
 
     Changes of contacts cut a step into parts, some of them as short as rounding. The parts of a step are joined until
@@ -24,6 +26,7 @@ def mean_forces(t: Array, h: Array, step: NDArray[np.int64], impulse: Array) -> 
         t, h: starts and lengths > 0 of the parts [s], (m,), one for each contact point.
         step: the steps to which they belong, (m,).
         impulse: over the parts [N s], (m, 3).
+        zeros: add force 0 at both ends of each time without contact between two steps.
     """
     order = np.lexsort((step, t))
     t, h, step, impulse = t[order], h[order], step[order], impulse[order]
@@ -39,9 +42,16 @@ def mean_forces(t: Array, h: Array, step: NDArray[np.int64], impulse: Array) -> 
     total = np.add.reduceat(impulse, first, axis=0)
     joined = _joined(step[first], length)
     length, total = np.add.reduceat(length, joined), np.add.reduceat(total, joined, axis=0)
-    middle = 0.5 * (start[joined] + np.maximum.reduceat(end, joined))
+    begin, end = start[joined], np.maximum.reduceat(end, joined)
     kept = length > BRIEF * length.max()
-    return middle[kept], total[kept] / length[kept, None]
+    begin, end, force = begin[kept], end[kept], total[kept] / length[kept, None]
+    middle = 0.5 * (begin + end)
+    if not zeros:
+        return middle, force
+    apart = np.flatnonzero(begin[1:] - end[:-1] > BRIEF * length.max())
+    places = np.repeat(apart + 1, 2)
+    ends = np.column_stack([end[apart], begin[apart + 1]]).ravel()
+    return np.insert(middle, places, ends), np.insert(force, places, 0.0, axis=0)
 
 
 def _new(step: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.html import shown_rows
+from contactvi.html import html_table, shown_rows
+from contactvi.text import plain_table
 
 Array = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]
 # name -> (width, dtype) of one row; width 0 is a scalar.
 Fields = Mapping[str, tuple[int, type]]
-_SHOWN = 8  # items of a long log that a notebook shows
+_SHOWN = 8  # items of a long log that print and notebooks show
 Item = TypeVar("Item", covariant=True)
 
 
@@ -113,8 +114,27 @@ class Items(Sequence[Item]):
         return (self._item(i) for i in range(len(self)))
 
     def _shown(self) -> list[Item | None]:
-        """Return the items that a notebook shows, None where some are left out."""
+        """Return the items that are shown, None where some are left out."""
         return [None if k is None else self._item(k) for k in shown_rows(len(self), _SHOWN)]
+
+
+class Printed:
+    """What print and notebooks show as a short table."""
+
+    @abstractmethod
+    def _brief(self) -> tuple[str, Sequence[str], list[Sequence[str] | None]]:
+        """Return title, heads and rows of the table; None as a row says that some are left out."""
+
+    def __str__(self) -> str:
+        """Return what print shows."""
+        return plain_table(*self._brief())
+
+    def html(self) -> str:
+        """Return what a notebook shows."""
+        return html_table(*self._brief())
+
+    def _repr_html_(self) -> str:
+        return self.html()
 
 
 def joined(parts: Sequence[Arrays], fields: Fields) -> dict[str, NDArray[Any]]:

@@ -94,8 +94,13 @@ def assemble(
     )
 
 
-def consistent_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float) -> Array:
+def consistent_velocity(
+    core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float, fixed: Sequence[int] = ()
+) -> Array:
     """Return the velocity (nv,) with J v + phi_t = 0 that is nearest to v in the metric of the mass.
+
+    Args:
+        fixed: dofs that keep their velocities.
 
     Raises:
         ConstraintError: there is none, because constraints need different speeds.
@@ -108,11 +113,13 @@ def consistent_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Arr
     at = np.cumsum([0, *(row.rows for row in rows)])
     coupled = J[[at[k] for k, row in enumerate(rows) if row.coupled]]
     mass = mass + np.trace(mass) / max(nv, 1) * (coupled.T @ coupled)
+    free = np.setdiff1d(np.arange(nv), fixed)
+    v = v.copy()
     try:
-        lower = np.linalg.cholesky(0.5 * (mass + mass.T))
-        scaled = np.linalg.solve(lower, J.T).T
+        lower = np.linalg.cholesky(0.5 * (mass + mass.T)[np.ix_(free, free)])
+        scaled = np.linalg.solve(lower, J[:, free].T).T
         for _ in range(2):  # The second projection removes the rounding of the first.
-            v = v - np.linalg.solve(lower.T, np.linalg.lstsq(scaled, J @ v + rate, rcond=_RANK)[0])
+            v[free] -= np.linalg.solve(lower.T, np.linalg.lstsq(scaled, J @ v + rate, rcond=_RANK)[0])
     except np.linalg.LinAlgError as error:
         raise SceneError(
             "No velocity can be computed here",
@@ -121,13 +128,14 @@ def consistent_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Arr
             remedy="Look for masses near zero, and for points and positions that are very far",
         ) from error
     bad = _broken_rates(core, rows, q, v, t)
+    fixed_too = f", with {len(fixed)} degrees of freedom fixed" if len(fixed) else ""
     if bad:
         raise ConstraintError(
-            f"No velocity satisfies {_listed(bad)}",
+            f"No velocity satisfies {_listed(bad)}{fixed_too}",
             residuals=bad,
             expected="constraints whose rates agree",
             got=_numbers(bad, "m/s or rad/s"),
-            remedy="Correct the rates of prescribed motions and lengths, or start where they agree",
+            remedy="Fix fewer joints, correct the rates of prescribed motions and lengths, or start where they agree",
         )
     return v
 

@@ -209,6 +209,11 @@ def servo_settings(model: pin.Model, name: str, kp: Any, kd: Any, effort: Any, t
     return JointSettings(servo=Servo(values[0], values[1], limit, goal))
 
 
+def is_revolute(model: pin.Model, name: str) -> bool:
+    """Return whether a joint turns, and not without end."""
+    return str(joint_kind(model.joints[model.getJointId(name)])) == "revolute"
+
+
 def with_one_dof(model: pin.Model, names: list[str]) -> list[str]:
     """Return those of several joints that have one degree of freedom; all, for their error, where none has."""
     return [name for name in names if joint_kind(model.joints[model.getJointId(name)]) in ONE_DOF] or names

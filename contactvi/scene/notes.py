@@ -160,7 +160,7 @@ def _path(value: Any) -> str:
 
 
 def _place(value: Any) -> dict[str, Any]:
-    placement = pose("placement", value)
+    placement = pose("placement", value, told=True)
     turn = pin.rpy.matrixToRpy(placement.rotation)
     place = {"xyz": placement.translation.tolist()}
     return place | ({"rpy": turn.tolist()} if np.any(turn) else {})

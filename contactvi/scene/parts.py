@@ -38,6 +38,7 @@ class PartList:
     def add(self, part: Part, kind: type[Handle]) -> Handle:
         """Add a part and return its handle; raise InputError, and change nothing, where a name is taken already."""
         take_names(part, self._taken)
+        part.place = len(self.parts)
         handle = kind(
             part.name,
             tuple(part.joint_names()),

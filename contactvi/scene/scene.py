@@ -14,14 +14,15 @@ from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, did_you_mean
 from contactvi.importing.given_surfaces import GivenSurface
+from contactvi.importing.mjcf.actuators import Actuator
 from contactvi.importing.mjcf.model import MjcfFile
 from contactvi.importing.part import Part
 from contactvi.importing.pictures import Picture
 from contactvi.importing.pinocchio_models import import_pinocchio
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
-from contactvi.inputs import flag, pose, vector
-from contactvi.keywords import refusing_methods
+from contactvi.inputs import flag, pose, vector, warn_of_degrees
+from contactvi.keywords import no_attribute, refusing_methods
 from contactvi.scene.build import Built, build
 from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
 from contactvi.scene.contact_rules import ContactRules
@@ -32,6 +33,7 @@ from contactvi.scene.joints import (
     JointSettings,
     JointTable,
     Servo,
+    is_revolute,
     joint_settings,
     servo_settings,
     with_armature,
@@ -103,6 +105,12 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneStates, SceneDynamic
         if type(self) is Scene and not name.startswith("_") and name not in _SETTABLE:
             refuse_attribute(name, type(self), _SETTABLE)
         super().__setattr__(name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError for an attribute that a scene has not, with what may have been meant."""
+        if hasattr(type(self), name):  # a property that failed for want of another attribute: its own error
+            return object.__getattribute__(self, name)
+        raise AttributeError(no_attribute("A scene", name, dir(type(self))))
 
     def __repr__(self) -> str:
         return scene_line(self, None if self._built is None else self._built.pairs)
@@ -240,7 +248,7 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneStates, SceneDynamic
             friction: whether joints have their frictionloss.
             equality: whether its <equality> become constraints.
             actuators: whether its position and velocity actuators become servos, whose target is the start unless the
-                run gives one; `PartHandle.actuators` has the numbers of all.
+                run gives one; `Scene.actuators` has the numbers of all by name.
             restitution: of the contacts in the file and with it and of the limits, in [0, 1]; "solref": of its contacts
                 what a spring and damper with the file's damping ratio has (0.135 for MuJoCo's default); None: as set by
                 `set_contact`.
@@ -338,6 +346,9 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneStates, SceneDynamic
             for name in own:
                 settings.setdefault(name, JointSettings()).update(joint_settings(model, name, **values))
         self._joints.update(settings)  # all or none
+        for what, angles in (("rest", rest), ("limits", limits)):
+            if angles is not None and not isinstance(angles, bool) and any(is_revolute(model, name) for name in names):
+                warn_of_degrees(f"{what} of joint {names[0]!r}", np.asarray(angles, dtype=float))
         self._built = None
 
     def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
@@ -484,6 +495,11 @@ class Scene(SceneShapes, SceneElements, SceneContacts, SceneStates, SceneDynamic
     def parts(self) -> list[PartHandle]:
         """Handles of what was added, in order."""
         return list(self._parts.handles.values())
+
+    @property
+    def actuators(self) -> dict[str, Actuator]:
+        """The actuators of the scene's MJCFs by name: joint or body, gains and ranges (`Actuator`); in their order."""
+        return {actuator.name: actuator for part in self.parts for actuator in part.actuators}
 
     @property
     def report(self) -> ImportReport:

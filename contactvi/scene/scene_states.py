@@ -11,11 +11,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import mapping, real, vector
+from contactvi.inputs import mapping, real, vector, warn_of_degrees
 from contactvi.keywords import refusing_methods
 from contactvi.scene import closure
 from contactvi.scene.build import Built
-from contactvi.scene.joints import dofs_of, joint_value, joint_velocity
+from contactvi.scene.joints import dofs_of, is_revolute, joint_value, joint_velocity
 from contactvi.scene.parts import PartList
 from contactvi.scene.placing import place_on_ground
 from contactvi.scene.selection import Names, Selector
@@ -85,6 +85,8 @@ class SceneStates(ABC):
         for selector, value in mapping("values", values, "joint: value").items():
             for name in self.names.select_placed(selector):
                 q[self.q_index(name)] = joint_value(model, name, value)
+                if is_revolute(model, name):
+                    warn_of_degrees(f"value of joint {name!r}", q[self.q_index(name)])
         return q
 
     def velocity(
@@ -113,29 +115,33 @@ class SceneStates(ABC):
             ConstraintError: there is none near q; the error names the constraints that remain violated.
         """
         built, start, time = self.built(), self._state(q), real("t", t)
-        names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
-        dofs = {dof for name in names for dof in dofs_of(built.model, name)}
-        rows = built.elements.constraints
+        dofs, rows = self._dofs_of(fixed), built.elements.constraints
         if not rows:
             return start
-        return closure.assemble(built.engine, built.model, rows, start, sorted(dofs), time)
+        return closure.assemble(built.engine, built.model, rows, start, dofs, time)
 
-    def consistent_velocity(self, q: Any = None, v: Any = None, t: float = 0.0) -> np.ndarray:
+    def consistent_velocity(
+        self, q: Any = None, v: Any = None, t: float = 0.0, fixed: Sequence[Selector] | Selector = ()
+    ) -> np.ndarray:
         """Return the velocity (nv,) nearest to v (in the metric of the mass) that satisfies the constraints at q.
+
+        All joints may change: to have one turn as v says, as the crank of a linkage, name it in `fixed`.
 
         Args:
             q: (nq,), by default neutral.
             v: (nv,), by default rest.
             t: [s].
+            fixed: joints that keep their velocities, by name, pattern or handle.
 
         Raises:
-            ConstraintError: there is none, because constraints need different speeds.
+            ConstraintError: there is none, because constraints and fixed joints need different speeds.
         """
         built, start, time = self.built(), self._state(q), real("t", t)
         velocity = np.zeros(built.model.nv) if v is None else vector("v", v, built.model.nv)
         if not built.elements.constraints:
             return velocity
-        return closure.consistent_velocity(built.engine, built.elements.constraints, start, velocity, time)
+        rows, dofs = built.elements.constraints, self._dofs_of(fixed)
+        return closure.consistent_velocity(built.engine, rows, start, velocity, time, dofs)
 
     def place_on_ground(
         self, part: Selector | None = None, q: ArrayLike | None = None, ground: Selector | None = None
@@ -185,9 +191,11 @@ class SceneStates(ABC):
         built, time = self.built(), real("t", t)
         at = self._state(self.q0 if q is None else q)
         most = None if limit is None else real("limit", limit, 0.0)
+        return separate(built, at, most, self._dofs_of(fixed), time)
+
+    def _dofs_of(self, fixed: Sequence[Selector] | Selector) -> list[int]:
         names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
-        dofs = sorted({dof for name in names for dof in dofs_of(built.model, name)})
-        return separate(built, at, most, dofs, time)
+        return sorted({dof for name in names for dof in dofs_of(self.model, name)})
 
     def _one_joint(self, selector: Selector) -> pin.JointModel:
         model = self._parts.assembly.model

@@ -170,7 +170,9 @@ class Names:
                 name=argument,
                 expected="the name of a joint, a pattern, or a part with joints",
                 got=repr(_called(selector)),
-                remedy=did_you_mean(_called(selector), [*self.joints, *self.parts]),
+                remedy=did_you_mean(
+                    _called(selector), [*self.joints, *(name for name, part in self.parts.items() if part.joints)]
+                ),
             )
         return found
 

@@ -21,7 +21,7 @@ from contactvi.options import Options
 from contactvi.simulation import engine
 from contactvi.simulation.auto_apart import Apart
 from contactvi.simulation.auto_motion import WholeMotion
-from contactvi.simulation.auto_search import Search
+from contactvi.simulation.auto_search import CHAOS, Search
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.recorder import Record
 from contactvi.simulation.tolerances import LedgerWatch
@@ -61,6 +61,7 @@ def run(
         return motion.refused.trajectory(None)
     record = found.record
     record.separation = motion.separation
+    record.actuation.references = motion.references()
     if found.interrupted:
         record.status = Status.interrupted(float(record.t[-1][-1]))
     if not options.dense:  # the segments were needed for the comparison only
@@ -71,7 +72,7 @@ def run(
     if record.status.ok and not found.estimate <= options.tol:
         warnings.warn(
             f"The accuracy asked of q was not reached: tol = {options.tol:.3g}, estimated error {found.estimate:.3g}."
-            f" {found.reason}",
+            f" {_reason(found.reason, traj.stats.held_branches)}",
             AccuracyWarning,
             stacklevel=4,
         )
@@ -108,6 +109,19 @@ def _found(motion: WholeMotion, options: Options, progress: Callable[[float, int
     if record.status.ok and not run.interrupted:
         search.release()
     return _Found(record, estimate, search.reason, run.interrupted, run.engine)
+
+
+def _reason(found: str, held: int) -> str:
+    """Return why tol was not reached; held: parts of steps over which the law of an actuator or a rope was kept."""
+    if not held:
+        return found
+    where = "one place" if held == 1 else f"{held} places"
+    kept = (
+        f"In {where} the branch of an actuator's or a rope's law was held to the end of a step, where it would change"
+        " for ever, as at an actuator's largest speed (traj.stats.held_branches): that is of order 1 in the step,"
+        " whatever the order. Give a short step, dt=..., a larger tol, or no limit of speed"
+    )
+    return kept if found == CHAOS else f"{kept}. {found}"
 
 
 def _check_ledger(record: Record) -> None:

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+CHAOS = "Chaotic motion limits it: ask for a shorter duration or a larger tol"  # where nothing else is seen
 _SAME = 2  # runs of each call with equal options that have the same settings
 _RUNS = 6  # at most, besides the first companion
 _START = 0.03  # level = _START sqrt(tol) to begin with
@@ -80,7 +81,7 @@ class Search:
         self._allowed = options.tol
         self.seconds = 0.0
         self._runs = 1  # the number of the next one
-        self.reason = "Chaotic motion limits it: ask for a shorter duration or a larger tol"
+        self.reason = CHAOS
         self.last: AutoRun | None = None
         self._first: AutoRun | None = None
         self._engines: list[tuple[_core.Simulator, float, float]] = []  # of the first runs, with their settings

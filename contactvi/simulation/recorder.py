@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from contactvi.options import Options
 from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
+from contactvi.records.actuation import Actuation
 from contactvi.records.codes import Change
 from contactvi.records.inputs import GrowingInputs
 from contactvi.records.point_numbers import PointNumbers
@@ -65,6 +66,7 @@ class Record:
         self.stats = _NOTHING_DONE
         self.forced = compiled.forced
         self.forces = GrowingForces(t, compiled.constraint_rows, compiled.followers)
+        self.actuation = Actuation(float("nan") if options.auto else options.fixed_dt, options.last_steps is None)
         self.inputs = GrowingInputs() if options.record == "gradient" else None
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
         self.separation: Separation | None = None  # what was moved for the start
@@ -302,6 +304,7 @@ class Record:
                 setattr(twin, name, list(value))
         twin.forces, twin.points = self.forces.copy(), self.points.copy()
         twin.inputs = None if self.inputs is None else self.inputs.copy()
+        twin.actuation = self.actuation.copy()
         return twin
 
     def __getstate__(self) -> dict[str, Any]:
@@ -350,6 +353,7 @@ class Record:
             forced=self.forced, segments=segments, adaptive_steps=self.adaptive_steps, error_estimate=error_estimate,
             contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
             dense_steps=self.dense_log(), inputs=None if self.inputs is None else self.inputs.joined(),
+            actuation=self.actuation.copy(),
         )  # fmt: skip
         found.separation = self.separation
         return found

@@ -168,6 +168,7 @@ class Run:
         if not self._quick or self._record.status.code is not _SUCCESS:
             return None
         self._stepped = True
+        self._record.actuation.add_unseen(tau is not None)
         reached = self._engine.step(tau, targets)
         if isinstance(reached, float):
             status = self._record.status = Status(_SUCCESS, REACHED, reached)
@@ -180,6 +181,7 @@ class Run:
         if not self._quick or self._record.status.code is not _SUCCESS:
             return None
         self._stepped = True
+        self._record.actuation.add_unseen(True)
         return self._engine
 
     def end_steps(self, ordinary: bool) -> Status:
@@ -214,6 +216,7 @@ class Run:
         if forces is not None and np.any(forces):
             check_unforced(self.options)
             record.forced = True
+        record.actuation.add(self._engine.t, forces, targets)
         if record.inputs is not None:
             record.inputs.add(steps, forces, targets)
         if self._watch is None and self._stall is None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, missing_package
 from contactvi.files import check_free, checked_path, write_atomic
@@ -18,6 +18,7 @@ from contactvi.inputs import listed
 from contactvi.records.table import Table
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory import tables
+from contactvi.trajectory.efforts import Efforts, effort_of
 from contactvi.trajectory.polynomials import State
 from contactvi.trajectory.poses import Poses, body_poses, moving_bodies
 from contactvi.trajectory.tables import QUATERNION, TABLES, Run, table
@@ -33,6 +34,7 @@ class _Run(Run, Protocol):
     """What the exports need; contactvi.Trajectory has it."""
 
     def at(self, t: ArrayLike) -> State: ...
+    def efforts(self) -> Efforts: ...
 
 
 class Exports:
@@ -56,6 +58,22 @@ class Exports:
         position, quaternion = body_poses(self.scene.model, np.atleast_2d(state.q), [name])
         return Poses(np.atleast_1d(state.t), position[:, 0], quaternion[:, 0])
 
+    def effort(self: _Run, joint: Any) -> NDArray[np.float64]:
+        """Return what a servo and an input do at a joint, within the limits of effort and speed, (N,) [N m or N].
+
+        At each node it is the effort with which the step that begins there starts; at the last one that of the last
+        references and inputs. Springs, damping and friction of the joint are not in it. All joints that are driven, and
+        have one degree of freedom, are in `to_pandas("efforts")`.
+
+        Args:
+            joint: name of a joint, or a handle of a part with one.
+
+        Raises:
+            InputError: unknown joint, one that nothing drives, or a run whose inputs were not kept: of a simulator
+                whose single steps had inputs and no servos, of `step_together`, or with record=n.
+        """
+        return effort_of(self.efforts(), self.scene, joint)
+
     def table(self: _Run, name: str = "states", sample_dt: float | None = None) -> Table:
         """Return a table of the run, one of contactvi.trajectory.tables: named columns with units, without pandas.
 
@@ -71,8 +89,9 @@ class Exports:
         """Return a table of the run as a DataFrame, needs `pip install "contactvi[pandas]"`.
 
         Args:
-            table: "states", "poses", "energies", with the time as index; "events", "contacts", "forces", "changes" or
-                "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]` has the units.
+            table: "states", "poses", "energies", "efforts", with the time as index; "events", "contacts", "forces",
+                "changes" or "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]`
+                has the units.
             sample_dt: as of `table`.
 
         Raises:
@@ -107,7 +126,7 @@ class Exports:
         Args:
             folder: is made where there is none.
             names: of the tables (contactvi.trajectory.tables), by default all that have rows, "forces" with sample_dt
-                alone: it has columns for every pair.
+                alone: it has columns for every pair, and "efforts" where joints are driven.
             sample_dt: length of the windows of "forces" [s], by default the times between the nodes.
             overwrite: whether tables that are there are replaced.
 
@@ -131,6 +150,8 @@ def write_csv(
         InputError: unknown table, or a folder that cannot be made. OverwriteError: as there.
     """
     usual = [name for name in TABLES if name != "forces" or sample_dt is not None]
+    if not traj.drives:
+        usual.remove("efforts")
     chosen = usual if names is None else listed("names", names, "names of tables")
     wanted = [table(traj, name, sample_dt if name == "forces" else None) for name in chosen]
     wanted = [found for found in wanted if len(found) or names is not None]

@@ -41,14 +41,28 @@ def span_of(traj: Trajectory) -> tuple[float, float]:
     return float(traj.t[0]), float(traj.t[-1])
 
 
-def force_figure(traj: Trajectory, by: str) -> RunFigure:
-    """Return the figure of contactvi.plot_forces."""
-    log = traj.contacts.rows(traj.contacts.has_force & (traj.contacts.array("kind") == GuardKind.CONTACT))
+def force_figure(
+    traj: Trajectory,
+    by: str,
+    window: tuple[float, float],
+    size: tuple[float, float] | None = None,
+    pairs: set[tuple[str, str]] | None = None,
+) -> RunFigure:
+    """Return the figure of contactvi.plot_forces.
+
+    Args:
+        window: the times that are drawn [s]. pairs: of shapes; None: all.
+    """
+    log = traj.contacts
+    rows = log.has_force & (log.array("kind") == GuardKind.CONTACT) & (log.end >= window[0]) & (log.t <= window[1])
+    if pairs is not None:
+        rows &= np.array([pair in pairs for pair in traj.scene.pair_names])[np.where(rows, log.array("index"), 0)]
+    log = log.rows(rows)
     changes = traj.contact_changes
     kind, time = changes.array("change"), changes.array("time")
     instants = [Instants(name, time[kind == CHANGES.index(name)], color) for name, color in _CHANGE.items()]
     title = f"Contact forces{' on bodies' if by == 'body' else ''}, {traj.stepping}"
-    figure, axes = panels(title, span_of(traj), 3, instants)
+    figure, axes = panels(title, window, 3, instants, size)
     if by == "body":
         _draw_bodies(axes, traj, log)
     else:
@@ -75,8 +89,16 @@ def _draw_pairs(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> None
             draw_curve(axis, *_broken(steps, values), name, color=color, lw=1.1)
         known = np.isfinite(ratio[rows])
         middle = (log.t + 0.5 * log.h)[rows][known]
+        if not len(middle):
+            continue  # nothing that a legend could name
         axes[2].plot(middle, ratio[rows][known], ls="", marker=".", ms=1.5, color=color, label=name, rasterized=True)
-    axes[2].axhline(1.0, color="black", lw=0.8, ls="--", label="on the cone: it slides" if len(drawn) else None)
+    if len(drawn) and not np.any(np.isfinite(ratio)):
+        axes[2].text(
+            0.5, 0.5, "no cone of one coefficient: no friction,\nor it is a function of the slip, or adhesion",
+            transform=axes[2].transAxes, ha="center", va="center", color="0.5",
+        )  # fmt: skip
+    else:
+        axes[2].axhline(1.0, color="black", lw=0.8, ls="--", label="on the cone: it slides" if len(drawn) else None)
     for axis, values in zip(axes, drawn_values, strict=False):
         _scale(axis, values, _largest(values), signed=False)
     axes[2].set_ylim(-0.03, 1.1 if not np.any(ratio > 1.07) else None)

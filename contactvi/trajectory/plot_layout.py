@@ -7,6 +7,7 @@ the panels; where there are more of them each kind gets a strip above the panels
 from __future__ import annotations
 
 import io
+import math
 import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,12 +19,16 @@ from matplotlib.colors import TABLEAU_COLORS, BoundaryNorm, LinearSegmentedColor
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from contactvi.errors import InputError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _SPACE, _STRIP = 10.0, 1.1, 2.6, 0.3, 0.5, 0.3, 0.13  # [in]
+_LABEL = 0.72  # from the panels to the labels of their values, which stand below each other [in]
+_LEAST_WIDTH, _LEAST_HEIGHT = 1.5, 0.9  # of a panel [in]
 _SMALL, _TITLE = 7, 10  # letters of legends, of titles [pt]
 _TITLE_LETTERS = 105  # of a line
 _MARGIN = 0.01  # of the span of the run, at both ends of the time axis
@@ -64,36 +69,62 @@ class Panels(NamedTuple):
     axes: list[Axes]
 
 
-def panels(title: str, span: tuple[float, float], count: int, instants: Sequence[Instants] = ()) -> Panels:
-    """Return so many panels over the time of a run, from span[0] to span[1] [s], with the instants that lie in it."""
-    instants = [kind for kind in instants if len(kind.time)]
+def panels(
+    title: str,
+    span: tuple[float, float],
+    count: int,
+    instants: Sequence[Instants] = (),
+    size: tuple[float, float] | None = None,
+) -> Panels:
+    """Return so many panels over the time of a run, from span[0] to span[1] [s], with the instants that lie in it.
+
+    Args:
+        size: width and height of the figure [in]; None: ten inches wide, and as high as so many panels need.
+
+    Raises:
+        InputError: a size in which labels and names would be cut, or panels have no room.
+    """
+    shown = [(kind, kind.time[(kind.time >= span[0]) & (kind.time <= span[1])]) for kind in instants]
+    instants = [Instants(kind.name, time, kind.color) for kind, time in shown if len(time)]
+    wide = _WIDTH if size is None else size[0]
     strips = instants if sum(len(np.unique(kind.time)) for kind in instants) > _MOST_INSTANTS else []
     height = 2.1 if count > 1 else 3.2
-    inches = [*([_STRIP] * len(strips)), *([height] * count)]
     gaps = [*([0.06] * (len(strips) - 1)), *([0.22] if strips else []), *([_SPACE] * (count - 1))]
-    lines = textwrap.wrap(title, _TITLE_LETTERS)
+    lines = textwrap.wrap(title, max(1, int(_TITLE_LETTERS * wide / _WIDTH)))
     above = _TOP + len(lines) * 1.35 * _TITLE / 72
-    total = above + sum(inches) + sum(gaps) + _BOTTOM
-    figure = RunFigure(figsize=(_WIDTH, total))
+    other = above + len(strips) * _STRIP + sum(gaps) + _BOTTOM
+    if size is not None:
+        height = (size[1] - other) / count
+        least = [math.ceil(10.0 * x) / 10.0 for x in (_LEFT + _RIGHT + _LEAST_WIDTH, other + count * _LEAST_HEIGHT)]
+        if wide < least[0] or height < _LEAST_HEIGHT:
+            raise InputError(
+                "Size of a figure", name="size", got=f"({wide:g}, {size[1]:g})",
+                expected=f"at least {least[0]:g} inches of width and {least[1]:g} of height, for {count} panels with"
+                " their labels and names", remedy=f"Use size=({max(least[0], wide):g}, {max(least[1], size[1]):g})",
+            )  # fmt: skip
+    inches = [*([_STRIP] * len(strips)), *([height] * count)]
+    total = other + count * height
+    figure = RunFigure(figsize=(wide, total))
     axes: list[Axes] = []
     top = total - above
-    for k, size in enumerate(inches):
-        place = (_LEFT / _WIDTH, (top - size) / total, (_WIDTH - _LEFT - _RIGHT) / _WIDTH, size / total)
+    for k, inch in enumerate(inches):
+        place = (_LEFT / wide, (top - inch) / total, (wide - _LEFT - _RIGHT) / wide, inch / total)
         axes.append(figure.add_axes(place, sharex=axes[0] if axes else None))
-        top -= size + (gaps[k] if k < len(gaps) else 0.0)
+        top -= inch + (gaps[k] if k < len(gaps) else 0.0)
     for kind, strip in zip(strips, axes, strict=False):
         _draw_strip(strip, kind, span)
     own = axes[len(strips) :]
     for axis in own:
         axis.grid(alpha=0.25)
         axis.tick_params(labelbottom=axis is own[-1])
+        axis.yaxis.set_label_coords(-_LABEL / (wide - _LEFT - _RIGHT), 0.5)
         if not strips:
             for kind in instants:
                 _draw_lines(axis, kind, named=axis is own[0])
     room = _MARGIN * (span[1] - span[0]) or 1.0  # of a run without a step
     own[-1].set_xlim(span[0] - room, span[1] + room)
     own[-1].set_xlabel("time [s]")
-    figure.suptitle("\n".join(lines), fontsize=_TITLE, x=_LEFT / _WIDTH, y=1.0 - 0.08 / total, ha="left", va="top")
+    figure.suptitle("\n".join(lines), fontsize=_TITLE, x=_LEFT / wide, y=1.0 - 0.08 / total, ha="left", va="top")
     return Panels(figure, own)
 
 
@@ -118,24 +149,29 @@ def _draw_strip(axis: Axes, kind: Instants, span: tuple[float, float]) -> None:
 
 
 def draw_curve(axis: Axes, t: Array, y: Array, name: str | None, **style: Any) -> None:
-    """Draw y (n,) over t (n,) [s]; NaN are gaps. Of a curve with more swings than a panel can show, the band of its
-    values."""
+    """Draw y (n,) over t (n,) [s], as far as the panel shows; NaN are gaps. Of a curve with more swings than a panel
+    can show, the band of its values."""
+    low, high = axis.get_xlim()
+    inside = np.flatnonzero((t >= low) & (t <= high))
+    if len(inside):  # with the points beside them, to which the lines go on
+        shown_part = slice(max(0, inside[0] - 1), inside[-1] + 2)
+        t, y = t[shown_part], y[shown_part]
     known = np.isfinite(y)
     shown = y[known]
     height = max(np.ptp(shown), _SEEN * np.abs(shown).max()) if len(shown) else 0.0
     if np.abs(np.diff(shown)).sum() <= _MOST_SWINGS * height:
         axis.plot(t, y, label=name, **style)
         return
-    edges = np.linspace(t[known][0], t[known][-1], _BINS + 1)
+    edges = np.linspace(max(t[known][0], low), min(t[known][-1], high), _BINS + 1)
     place = np.clip(np.searchsorted(edges, t[known], side="right") - 1, 0, _BINS - 1)
-    low, high = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
-    np.minimum.at(low, place, shown)
-    np.maximum.at(high, place, shown)
-    low[np.isinf(low)], high[np.isinf(high)] = np.nan, np.nan
+    least, most = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
+    np.minimum.at(least, place, shown)
+    np.maximum.at(most, place, shown)
+    least[np.isinf(least)], most[np.isinf(most)] = np.nan, np.nan
     label = None if name is None else f"{name} (band)"
     axis.fill_between(
-        edges, np.append(low, low[-1]), np.append(high, high[-1]), step="post", color=style.get("color"), alpha=0.35,
-        lw=0.5, label=label, zorder=style.get("zorder", 2),
+        edges, np.append(least, least[-1]), np.append(most, most[-1]), step="post", color=style.get("color"),
+        alpha=0.35, lw=0.5, label=label, zorder=style.get("zorder", 2),
     )  # fmt: skip
 
 

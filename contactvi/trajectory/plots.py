@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +13,11 @@ from matplotlib.figure import Figure
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
 from contactvi.importing.joint_kinds import joint_kind
-from contactvi.inputs import check_choice, flag, real
+from contactvi.inputs import check_choice, flag, listed, positive, real, short, vector
 from contactvi.records.codes import GuardKind
 from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.coordinates import coordinates
+from contactvi.trajectory.angles import turned_angles
 from contactvi.trajectory.force_plots import force_figure, span_of
 from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, legend, panels
 from contactvi.trajectory.trajectory import Trajectory
@@ -43,7 +45,13 @@ def _check(traj: object) -> None:
         )
 
 
-def plot(traj: Trajectory) -> Figure:
+def plot(
+    traj: Trajectory,
+    *,
+    size: Sequence[float] | None = None,
+    window: Sequence[float] | None = None,
+    pairs: Sequence[Sequence[Any]] | None = None,
+) -> Figure:
     """Return a figure of a run: energy relative to its start, its balance, gaps of touching pairs.
 
     The balance is the energy with what impacts, friction of contacts and joints, and damping took put back, less the
@@ -51,15 +59,27 @@ def plot(traj: Trajectory) -> Figure:
 
     Impacts are lines, where they are many a strip whose colour is their density. The figure belongs to no window
     (matplotlib.figure.Figure): a notebook shows it where it is the last line of a cell, `figure.savefig` writes it.
+
+    Args:
+        size: width and height of the figure [in]; None: ten inches wide.
+        window: times between which it is drawn [s]; None: all of the run.
+        pairs: whose gaps are drawn, as of `plot_forces`.
+
+    Raises:
+        InputError: a bad argument; two that never touched.
     """
     _check(traj)
+    shown, chosen = _window(traj, window), _pairs(traj, pairs)
     gap_time, gap_pairs, gap = traj.gaps
+    if chosen is not None:
+        kept = [k for k, pair in enumerate(gap_pairs) if pair in chosen]
+        gap_pairs, gap = [gap_pairs[k] for k in kept], gap[:, kept]
     state = "" if traj.status.ok else f", {traj.status.code.name} at {traj.status.time:.6g} s"
     title = (
         f"{traj.t[-1] - traj.t[0]:.6g} s, {traj.stepping}, {len(traj.events)} impacts "
         f"({traj.events.method.upper()}){state}"
     )
-    figure, axes = panels(title, span_of(traj), 3 if len(gap_pairs) else 2, _impacts(traj))
+    figure, axes = panels(title, shown, 3 if len(gap_pairs) else 2, _impacts(traj), _size(size))
     _draw_energy(axes[0], traj)
     _draw_error(axes[1], traj)
     if len(gap_pairs):
@@ -67,19 +87,24 @@ def plot(traj: Trajectory) -> Figure:
     return figure
 
 
-def plot_states(traj: Trajectory) -> Figure:
+def plot_states(
+    traj: Trajectory, *, size: Sequence[float] | None = None, window: Sequence[float] | None = None
+) -> Figure:
     """Return a figure of the coordinates and velocities of a run, a panel for each unit.
 
     Names are those of contactvi.scene.coordinates.Coordinates; more than ten in a panel get a scale of colours.
     Velocities of free, planar and spherical joints are Pinocchio's, in the axes of their bodies, which the labels say.
-    Quaternions, and the cosine and sine of a joint without end, are left out. The figure is one as that of `plot`.
+    Quaternions are left out, and of a joint without end there is the angle over whole turns, JOINT.angle. The figure is
+    one as that of `plot`, and so are size, window and the errors.
     """
     _check(traj)
+    shown = _window(traj, window)
     named = coordinates(traj.scene.model)
     numbers = [*zip(named.q.items(), traj.q.T, strict=True), *zip(named.v.items(), traj.v.T, strict=True)]
+    numbers += [((name, "rad"), angle) for name, angle in turned_angles(traj).items()]
     groups = [(what, unit, [(name, y) for (name, of), y in numbers if of == unit]) for what, unit in _STATES]
     groups = [group for group in groups if group[2]]
-    figure, axes = panels(f"States, {traj.stepping}", span_of(traj), max(1, len(groups)), _impacts(traj))
+    figure, axes = panels(f"States, {traj.stepping}", shown, max(1, len(groups)), _impacts(traj), _size(size))
     kinds = {joint_kind(joint) for joint in list(traj.scene.model.joints)[1:]}
     for axis, (what, unit, curves) in zip(axes, groups, strict=False):
         draw_curves(axis, traj.t, curves)
@@ -88,7 +113,14 @@ def plot_states(traj: Trajectory) -> Figure:
     return figure
 
 
-def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
+def plot_forces(
+    traj: Trajectory,
+    by: str = "pair",
+    *,
+    size: Sequence[float] | None = None,
+    window: Sequence[float] | None = None,
+    pairs: Sequence[Sequence[Any]] | None = None,
+) -> Figure:
     """Return a figure of the contact forces of a run. Impacts have no force.
 
     Args:
@@ -96,13 +128,49 @@ def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
             over every step with persistent contact; and how much of the friction cone each contact point uses,
             friction / (mu normal), which is 1 where it slides. "body": the sum of all contact forces on each body,
             also on those fixed to the world, along the axes of the world.
+        size, window: as of `plot`.
+        pairs: (a, b) of those whose contacts are drawn, each a shape, body or part as in `contacts.of`; None: all.
 
     Of many pairs or bodies those are drawn whose impulses are the largest, which the legend says. A run without forces
     has empty panels. The figure is one as that of `plot`.
     """
     _check(traj)
     check_choice("by", by, ("pair", "body"), "forces")
-    return force_figure(traj, by)
+    return force_figure(traj, by, _window(traj, window), _size(size), _pairs(traj, pairs))
+
+
+def _size(size: Sequence[float] | None) -> tuple[float, float] | None:
+    """Return width and height of a figure [in], or None. Raises InputError."""
+    if size is None:
+        return None
+    width, height = vector("size", size, 2).tolist()
+    return positive("size", width, "inches > 0"), positive("size", height, "inches > 0")
+
+
+def _window(traj: Trajectory, window: Sequence[float] | None) -> tuple[float, float]:
+    """Return the first and the last time that are drawn [s]. Raises InputError."""
+    first, last = span_of(traj)
+    if window is None:
+        return first, last
+    start, end = vector("window", window, 2).tolist()
+    if not first <= start < end <= last:
+        raise InputError(
+            "Times of a figure", name="window", expected=f"two times of the run in order, {first:g} to {last:g} s",
+            got=f"({start:g}, {end:g})", remedy=f"Use window=({first:g}, {last:g}) or a part of it",
+        )  # fmt: skip
+    return start, end
+
+
+def _pairs(traj: Trajectory, pairs: Sequence[Sequence[Any]] | None) -> set[tuple[str, str]] | None:
+    """Return the pairs of shapes that are drawn; None for all. Raises InputError."""
+    if pairs is None:
+        return None
+    for pair in (given := listed("pairs", pairs, "pairs (a, b)")):
+        if len(listed("pairs", pair, "two names")) != 2:
+            raise InputError(
+                "A pair of two", name="pairs", expected="(a, b)", got=short(pair), remedy='Use pairs=[("a", "b")]'
+            )
+    return {found for a, b in given for found in traj.contacts.of(a, b).pairs}
 
 
 def save_figure(

@@ -15,6 +15,7 @@ kinetic_energy        (N,)           T [J]
 potential_energy      (N,)           V [J], of gravity, springs and potentials
 modified_energy       (N,)           modified Hamiltonian of the midpoint rule, from order 4 on H [J]
 discrete_energy       (N,)           of the step that starts at the node [J], NaN without one; only in runs with DTEC
+effort                (N, nv)        of servos and inputs [N, N m]; only in runs where they are known and not zero
 gap/time              (M,)           times at which gaps were measured [s], M <= 2000
 gap/value             (M, K)         signed distance [m] of the K pairs header["gap_pairs"], those that touched
 event/time            (n,)           [s]
@@ -111,6 +112,7 @@ The header is an object with the keys
 - format: "contactvi-trajectory"; schema: 9; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
+- undriven: whether it is known that nothing drives a joint; then there is no entry effort. Older files lack it
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
 - constraints: [[name, kind, rows], ...] of the columns of force/reactions, in runs with force/work
 - scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.playback.visuals.Visual fields
@@ -198,6 +200,12 @@ class Run(Protocol):
     @property
     def visuals(self) -> list[Visual]: ...
 
+    @property
+    def drives(self) -> bool: ...
+    @property
+    def efforts_known(self) -> bool: ...
+    def all_efforts(self) -> NDArray[np.float64]: ...
+
 
 def save(traj: Run, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """Write `traj` to `path` atomically; return the path. v, energies and gaps are computed if they were not.
@@ -224,11 +232,14 @@ def save(traj: Run, path: str | os.PathLike[str], overwrite: bool = False) -> Pa
         "joint_names": list(traj.scene.model.names),
         "gap_pairs": gap_pairs,
         "constraints": [] if traj.forces is None else [list(row) for row in traj.all_forces().constraints],
+        "undriven": traj.efforts_known and not traj.drives,
         "scene": scene,
         "visuals": [visual.to_dict() for visual in traj.visuals],
     }
     text = json.dumps(_pack(header, arrays, {}))
     entries: dict[str, Any] = {name: getattr(traj, name) for name in _stored_nodes(traj.options)}
+    if traj.drives:
+        entries["effort"] = traj.all_efforts()
     entries |= {"gap/time": gap_time, "gap/value": gap_value, "frame/time": traj.frames[0], "frame/q": traj.frames[1]}
     if traj.segments is not None:
         entries |= _segment_entries(traj.segments)
@@ -337,8 +348,10 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
     options = Options.from_stored(header["options"])
     read = EntryReader(path, entries, sizes)
-    nodes = read.nodes(_stored_nodes(options))
+    nodes = read.nodes(_stored_nodes(options) | ({"effort": "v"} if "effort" in entries else {}))
     t = nodes.pop("t")
+    if header.get("undriven") is True:
+        nodes["effort"] = np.broadcast_to(0.0, (len(t), sizes["v"]))
     # The engine's states are finite; so are energies, save in a run that ended because a number was too large.
     status = header["status"]
     ended = Status(StatusCode(status["code"]), str(status["message"]), float(status["time"]))

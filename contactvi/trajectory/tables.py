@@ -3,9 +3,11 @@
 ===========  =========  =====================================================================================
 table        a row is   columns, besides the time t [s]
 ===========  =========  =====================================================================================
-states       a node     the numbers of q and v by name (contactvi.scene.coordinates.Coordinates)
+states       a node     the numbers of q and v by name (contactvi.scene.coordinates.Coordinates), and JOINT.angle
+                        [rad] of joints without end, over whole turns (contactvi.trajectory.angles)
 poses        a node     position x, y, z [m] and quaternion qx, qy, qz, qw of every body that moves, world frame
 energies     a node     kinetic, potential and modified energy, losses so far, works so far [J]
+efforts      a node     of each joint that is driven what its servo and its input do [N m or N]
 events       an impact  as in contactvi.Event, vectors by components
 contacts     a contact  as in contactvi.Contact: of a point and a step, or of a point in an impact (h = 0)
 forces       a window   of time, from t on and of length h [s]: the mean force of each pair, impacts included
@@ -45,6 +47,8 @@ from contactvi.records.table import Column, Table, Words
 from contactvi.records.work import WORKS, Forces
 from contactvi.scene.coordinates import coordinates
 from contactvi.scene.scene import Scene
+from contactvi.trajectory.angles import turned_angles
+from contactvi.trajectory.efforts import Efforts
 from contactvi.trajectory.force_table import force_table
 from contactvi.trajectory.polynomials import sample_times
 from contactvi.trajectory.poses import body_poses, moving_bodies
@@ -85,6 +89,9 @@ class Run(Protocol):
     def impact_loss(self) -> Array: ...
     @property
     def friction_loss(self) -> Array: ...
+    @property
+    def drives(self) -> bool: ...
+    def efforts(self) -> Efforts: ...
 
 
 def table(traj: Run, name: str, sample_dt: float | None = None) -> Table:
@@ -110,12 +117,13 @@ def table(traj: Run, name: str, sample_dt: float | None = None) -> Table:
 
 
 def states(traj: Run) -> Table:
-    """Return q and v at the nodes, a column for each number."""
+    """Return q and v at the nodes, a column for each number, and the angles of joints without end over whole turns."""
     named = coordinates(traj.scene.model)
     columns: dict[str, Column] = {"t": traj.t}
     for names, values in ((named.q, traj.q), (named.v, traj.v)):
         columns |= dict(zip(names, values.T, strict=True))
-    return Table("states", columns, {"t": "s", **named.q, **named.v})
+    angles = turned_angles(traj)
+    return Table("states", columns | angles, {"t": "s", **named.q, **named.v, **dict.fromkeys(angles, "rad")})
 
 
 def poses(traj: Run) -> Table:
@@ -147,6 +155,13 @@ def energies(traj: Run) -> Table:
     if traj.forces is not None:
         columns |= {f"work_{name}": work for name, work in zip(WORKS, traj.forces.work, strict=True)}
     return Table("energies", columns, {"t": "s"} | dict.fromkeys(list(columns)[1:], "J"))
+
+
+def efforts(traj: Run) -> Table:
+    """Return the efforts of driven joints at the nodes, a column for each; raises InputError where they are unknown."""
+    found = traj.efforts()
+    columns: dict[str, Column] = {"t": found.t, **dict(zip(found.joints, found.values.T, strict=True))}
+    return Table("efforts", columns, {"t": "s", **found.joints})
 
 
 def events(traj: Run) -> Table:
@@ -257,8 +272,8 @@ def _units(prefix: str, unit: str) -> dict[str, str]:
     return {prefix + axis: unit for axis in _XYZ}
 
 
-OF_NODES = ("states", "poses", "energies")  # tables with a row for each node
+OF_NODES = ("states", "poses", "energies", "efforts")  # tables with a row for each node
 TABLES: dict[str, Callable[[Run], Table]] = {
-    "states": states, "poses": poses, "energies": energies, "events": events, "contacts": contacts,
+    "states": states, "poses": poses, "energies": energies, "efforts": efforts, "events": events, "contacts": contacts,
     "forces": force_table, "changes": changes, "dense_steps": dense_steps,
 }  # fmt: skip

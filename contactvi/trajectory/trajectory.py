@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.aliases import alias, renamed_arguments
-from contactvi.errors import InputError
+from contactvi.errors import ContactviError, InputError
 from contactvi.keywords import Passed
 from contactvi.options import Options
+from contactvi.records.actuation import Actuation
 from contactvi.records.codes import STEP_KINDS
 from contactvi.records.compliant_contacts import CompliantContacts, compliant_contacts
 from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
@@ -26,6 +28,7 @@ from contactvi.status import Stats, Status
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.coupled_reactions import coupled_rows, with_coupled
+from contactvi.trajectory.efforts import Efforts, computed_efforts, efforts_known, efforts_of
 from contactvi.trajectory.exports import Exports
 from contactvi.trajectory.gaps import Gaps, gaps_along
 from contactvi.trajectory.interpolation import interpolated, times_within
@@ -64,6 +67,8 @@ class Trajectory(Exports):
         forces: work and reactions as arrays (contactvi.records.work.Forces), see `work` and `reactions`; None without.
         segments: the polynomials of its steps (contactvi.trajectory.polynomials), None without; `at` evaluates them.
         inputs: what acted in each step (contactvi.records.inputs.RunInputs), with record="gradient"; else None.
+        actuation: what its motors were asked for (contactvi.records.actuation.Actuation), for `effort`; None of runs
+            that are read from files, which have the efforts.
         contacts: every persistent contact of every step, and every impact, with its forces (a `ContactLog`); empty
             without, and with record_contacts=False.
         contact_changes: when contacts began, stuck, slipped, ended (a `ChangeLog`).
@@ -109,6 +114,7 @@ class Trajectory(Exports):
         forces: Forces | None = None,
         dense_steps: DenseSteps | None = None,
         inputs: RunInputs | None = None,
+        actuation: Actuation | None = None,
     ) -> None:
         self._scene = scene
         # A run keeps the engine's scene that it was made with, because the Python scene may be edited afterwards.
@@ -136,6 +142,7 @@ class Trajectory(Exports):
         self.forces = forces
         self._all_forces: Forces | None = None
         self.inputs = inputs
+        self.actuation = actuation
         self.separation: Separation | None = None
         self._ledger: Ledger | None = None
 
@@ -163,7 +170,9 @@ class Trajectory(Exports):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what pickle and deepcopy keep: all but the engine's scene, which is built again when it is needed."""
-        return {**vars(self), "_scene": self.scene, "_core": None, "_ledger": None}
+        with contextlib.suppress(ContactviError):  # inputs that are not known, or a function that fails now
+            self.all_efforts()
+        return {**vars(self), "_scene": self.scene, "_core": None, "_ledger": None, "actuation": None}
 
     @property
     def stepping(self) -> str:
@@ -445,6 +454,26 @@ class Trajectory(Exports):
     else:
         to_html = Passed("contactvi.playback.page", "write_html")
         render = Passed("contactvi.playback.render", "render")
+
+    def efforts(self) -> Efforts:
+        """Return the efforts of all driven joints with one degree of freedom, see `effort`; raises InputError."""
+        return efforts_of(self.scene, self.t, self.all_efforts())
+
+    @property
+    def drives(self) -> bool:
+        """Whether there are joints that are driven, with known efforts."""
+        return self.efforts_known and bool(self.efforts().joints)
+
+    @property
+    def efforts_known(self) -> bool:
+        """Whether it is known what the motors of the run were asked for."""
+        return "effort" in self._derived or efforts_known(self)
+
+    def all_efforts(self) -> Array:
+        """Return the efforts of all degrees of freedom (N, nv). Raises InputError where they are not known."""
+        if "effort" not in self._derived:
+            self._derived["effort"] = computed_efforts(self)
+        return self._derived["effort"]
 
     def _engine(self) -> _core.Scene:
         if self._core is None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 
 from contactvi.commands import cli, entry
@@ -20,6 +23,12 @@ def test_an_import_that_is_cut_short_is_an_interrupt(monkeypatch, capsys):
         entry.main()
     assert ended.value.code == 130
     assert capsys.readouterr().err == "Aborted.\n"
+
+
+def test_it_is_a_module_too():
+    """`python -m contactvi` is the same program."""
+    run = subprocess.run([sys.executable, "-m", "contactvi", "--version"], capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("contactvi ")
 
 
 def test_a_module_that_is_missing_is_told(monkeypatch):

@@ -43,6 +43,19 @@ def test_forces_of_windows(command, tmp_path):
     assert command("export", "out/trajectory.npz", "--sample-dt", "-1").exit_code == 2
 
 
+def test_the_folder_of_a_run_stands_for_it(command, tmp_path):
+    """As `contactvi plot` takes it; what is written beside the run is then in that folder."""
+    command("run", ball_file(tmp_path), "-o", "out", "--no-html", "--no-plot")
+    assert command("export", "out", "--table", "events").exit_code == 0
+    assert Path("out/trajectory/events.csv").is_file()
+    assert command("play", "out", "--no-browser").exit_code == 0
+    assert "<title>out</title>" in Path("out/trajectory.html").read_text()
+    result = command("render", "out", "-o", "picture.jpg", "--at", "0.5")
+    assert result.exit_code == 2
+    assert "Name it picture.png" in result.stderr
+    assert "there is no such file" in command("render", "missing").stderr
+
+
 def test_wrong_input(command, tmp_path):
     result = command("export", "missing.npz")
     assert result.exit_code == 2

@@ -267,6 +267,35 @@ def test_torques_are_those_of_a_simulator():
     assert env.simulator.t == pytest.approx(14e-3)
 
 
+def test_torques_of_named_joints():
+    """A cart on a rail with a pole: the cart is driven, the pole is not, and actions have one number."""
+
+    class Cart(Pendulum):
+        def __init__(self, **options: object) -> None:
+            scene = cvi.Scene()
+            scene.add_urdf("models/cart_pendulum.urdf")
+            self.numbers = 2
+            options = {"nominal": [0.0], "reach": [10.0], "observed": 2, "duration": 1.0} | options
+            SceneEnv.__init__(self, scene, **options)  # type: ignore[arg-type]
+
+    whole = Cart(actions="torque", joints="*", nominal=[0.0] * 2, reach=[1.0] * 2)
+    cart, pole = list(whole.simulator.scene.model.names)[1:]
+    env = Cart(actions="torque", joints=[cart])
+    assert env.action_space.shape == (1,)
+    env.reset(seed=1)
+    sim = cvi.Simulator(env.simulator.scene, dt=2e-3)
+    sim.reset(env.simulator.q, env.simulator.v)
+    env.step(np.array([0.5]))
+    tau = np.zeros(2)
+    tau[sim.scene.v_index(cart)] = 5.0
+    sim.run(10, tau)
+    np.testing.assert_array_equal(env.simulator.q, sim.q)
+    with pytest.raises(cvi.InputError, match="Unknown joint"):
+        Cart(actions="torque", joints=["wheel"])
+    with pytest.raises(cvi.InputError, match="Leave joints out"):
+        Cart(actions="target", joints=[pole])
+
+
 def test_torques_in_threads_have_the_bits_of_one():
     envs = contactvi.gym.ThreadedVectorEnv(lambda: Pendulum(actions="torque"), 3)
     envs.reset(seed=1)

@@ -404,6 +404,20 @@ def test_actuators_are_servos(tmp_path: Path):
 HOME = '<keyframe><key name="home" qpos="{}" qvel="{}"/></keyframe>'
 
 
+def test_actuators_by_name(tmp_path: Path):
+    """Of a scene from a file, which gives no handle, and of copies with a prefix."""
+    act = '<actuator><position name="up" joint="h" kp="60"/><motor name="push" joint="h" gear="2"/></actuator>'
+    body = '<body name="b"><joint name="h" axis="0 1 0"/><geom size=".1"/></body>'
+    (tmp_path / "a.xml").write_text(f"<mujoco><worldbody>{body}</worldbody>{act}</mujoco>")
+    scene = cvi.Scene.from_mjcf(tmp_path / "a.xml")
+    assert list(scene.actuators) == ["up", "push"]
+    assert scene.actuators["push"].force(3.0) == 6.0
+    assert scene.actuators["up"].target(0.2) == pytest.approx(0.2)
+    scene.add_mjcf(tmp_path / "a.xml", prefix="two_", placement=(1, 0, 0))
+    assert scene.actuators["two_push"].joint == "two_h"
+    assert tuple(scene.actuators.values())[:2] == scene.parts[0].actuators
+
+
 def test_two_copies_with_keyframes(tmp_path: Path):
     model = mujoco.MjModel.from_xml_string(text())
     qpos, qvel = oracle.random_state(model, 4)

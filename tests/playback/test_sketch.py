@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi.playback import sketch
 from contactvi.playback.animation import Frames, Poses
 from contactvi.playback.lathe import outline_mesh
 from contactvi.playback.live_frames import BodyPoses
@@ -154,3 +155,50 @@ def test_the_camera_sees_what_will_touch(where):
 def test_a_lone_body_has_nothing_to_touch():
     scene = scene_of(ball=(0.0, 0.0, 0.0))
     assert len(Touches.expected(scene, scene.neutral(), trees_of(scene.model))) == 0
+
+
+def test_triangles_are_those_of_an_oracle():
+    """Drawn ones, some of no width, some beyond the picture, against every pixel in every triangle by its areas."""
+    random, size = np.random.default_rng(3), (37, 29)
+    canvas = sketch._Canvas(*size, np.array(EYE), np.zeros(3))
+    corners = random.uniform(-12.0, 45.0, (60, 3, 2))
+    corners[::7, 2] = corners[::7, 1]  # a line
+    corners[3::7] = np.round(corners[3::7]) + 0.5  # corners and edges at centres of pixels
+    x, y = corners[..., 0], corners[..., 1]
+    area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
+    nearness, shade = random.uniform(0.1, 1.0, (60, 3)), random.uniform(0.0, 1.0, (60, 3))
+    real = area != 0.0
+    canvas._fill(x[real], y[real], nearness[real], shade[real], np.array([255.0, 128.0, 64.0]))
+    wanted, tone = np.zeros(size[::-1]), np.full(size[::-1], np.nan)
+    sure = np.ones(size[::-1], dtype=bool)  # not within rounding of an edge
+    for row in range(size[1]):
+        for column in range(size[0]):
+            for k in np.flatnonzero(real):
+                parts = [
+                    (x[k, j] - x[k, i]) * (row + 0.5 - y[k, i]) - (y[k, j] - y[k, i]) * (column + 0.5 - x[k, i])
+                    for i, j in ((1, 2), (2, 0), (0, 1))
+                ]
+                weights = np.array(parts) / area[k]
+                sure[row, column] &= abs(weights.min()) > 1e-6
+                depth = weights @ nearness[k]
+                if weights.min() >= 0.0 and depth > wanted[row, column]:
+                    wanted[row, column], tone[row, column] = depth, weights @ shade[k]
+    found = canvas._nearness.reshape(size[::-1])
+    assert sure.mean() > 0.9
+    assert np.abs(found - wanted)[sure].max() < 1e-9
+    drawn_ = sure & (wanted > 0.0)
+    assert np.abs(canvas._color.reshape(*size[::-1], 3)[drawn_][:, 0] - 255.0 * tone[drawn_]).max() < 1e-3
+
+
+def test_what_is_fixed_is_drawn_once():
+    """And is there in every picture: the pictures are those of a sketch that draws it for the first time."""
+    scene = scene_of(ball=(0.0, 0.2, 0.0))
+    scene.add_halfspace(offset=-0.5)
+    scene.add_box("post", (0.1, 0.1, 0.6), free=False, placement=(0.0, -0.3, 0.0))
+    camera, q = {"eye": list(EYE), "target": [0.0, 0.0, 0.0]}, scene.neutral()
+    kept = Sketch(scene, q, size=SIZE, camera=camera)
+    for height in (0.0, 0.1, -0.2):
+        q[2] = height
+        fresh = Sketch(scene, scene.neutral(), size=SIZE, camera=camera)
+        np.testing.assert_array_equal(kept.draw(q), fresh.draw(q))
+    assert (kept.draw(q) != drawn(scene_of(ball=(0.0, 0.2, -0.2)))).any()

@@ -395,3 +395,30 @@ def test_auto_measures_runs_that_come_to_rest(order):
         assert traj.stats.contact_steps == 0
         lengths = traj.adaptive_steps["dt"]
         assert lengths[-1] >= 0.99 * lengths[0]
+
+
+def test_zeros_while_nothing_touches():
+    """A box is pulled up and falls again: a line through the rows alone would join the forces before and after."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("box", (0.2, 0.2, 0.1), mass=2.0, placement=(0, 0, 0.05))
+    scene.add_wrench("box", force=lambda t: (0.0, 0.0, 60.0 if 0.1 < t < 0.15 else 0.0))
+    scene.set_contact(restitution=0.0, friction=0.5)
+    contacts = cvi.simulate(scene, duration=0.6, dt=1e-3).contacts
+    for t, force, with_zeros in (
+        (*contacts.on("box"), contacts.on("box", zeros=True)),
+        (*contacts.force_of("ground", "box"), contacts.force_of("ground", "box", zeros=True)),
+    ):
+        times, forces = with_zeros
+        size = np.linalg.norm(forces, axis=1)
+        added = np.flatnonzero(~np.isin(times, t))
+        assert len(added) == 2
+        assert np.all(size[added] == 0.0)
+        assert 0.09 < times[added[0]] < 0.11
+        assert times[added[1]] > 0.2
+        assert np.array_equal(np.delete(times, added), t)
+        assert np.array_equal(np.delete(forces, added, axis=0), force)
+        assert np.interp(0.15, times, size) == 0.0
+        assert np.interp(0.3, times, size) == 0.0
+        assert np.interp(0.3, t, np.linalg.norm(force, axis=1)) > 1.0  # the ramp that a line without them draws
+        assert np.all(np.diff(times) >= 0.0)

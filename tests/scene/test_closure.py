@@ -43,6 +43,21 @@ def test_an_initial_velocity_across_the_loop_is_named():
     assert "scene.consistent_velocity(q, v, t)" in str(caught.value)
 
 
+def test_a_joint_keeps_its_velocity():
+    """The crank turns as it is told; without `fixed` the nearest velocity in the metric of the mass is a slower one."""
+    scene = four_bar()
+    q = four_bar_start(scene)
+    wanted = np.array([6.0, 0.0, 0.0])
+    found = scene.consistent_velocity(q, wanted, fixed="j1")
+    assert found[0] == 6.0
+    J = np.asarray(scene.core().constraint_jacobian(q, 0.0))
+    assert np.abs(J @ found).max() < 1e-12 * 6.0
+    assert np.allclose(J[:, 1:] @ found[1:], -6.0 * J[:, 0], atol=1e-12)
+    assert abs(scene.consistent_velocity(q, wanted)[0] - 6.0) > 0.1
+    with pytest.raises(cvi.ConstraintError, match="with 3 degrees of freedom fixed"):
+        scene.consistent_velocity(q, wanted, fixed=["j1", "j2", "j3"])
+
+
 def test_a_loop_that_cannot_be_closed_is_named():
     scene = four_bar(ground=3 * BAR + 0.1)
     with pytest.raises(cvi.ConstraintError) as caught:

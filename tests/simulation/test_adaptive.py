@@ -191,6 +191,18 @@ def test_what_cannot_be_met_is_said():
     assert traj.error_estimate > 1e-9
 
 
+def test_a_limit_of_speed_is_told_as_the_reason():
+    """One damped hinge that a servo drives at its largest speed: nothing is chaotic, the limit is held step by step."""
+    scene = cvi.Scene()
+    scene.add_urdf("models/damped_pendulum.urdf")
+    scene.set_servo("hinge", kp=50.0, kd=5.0, target=0.5)
+    scene.set_actuator("hinge", velocity=1.0)
+    with pytest.warns(cvi.AccuracyWarning, match=r"traj\.stats\.held_branches.* order 1") as told:
+        traj = cvi.simulate(scene, duration=0.3, tol=1e-5)
+    assert traj.stats.held_branches > 0
+    assert "Chaotic" not in str(told[0].message)
+
+
 def test_nothing_is_said_where_it_is_met():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

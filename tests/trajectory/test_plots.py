@@ -253,3 +253,77 @@ def test_resolution_and_background_of_a_file(box, tmp_path, draw):
         with pytest.raises(cvi.InputError, match=next(iter(wrong))):
             save_figure(draw(box), tmp_path / "c.png", **wrong)
     assert not (tmp_path / "c.png").exists()
+
+
+def test_a_panel_without_cones_says_why():
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("box", (0.2, 0.2, 0.1), placement=(0, 0, 0.05))
+    scene.set_contact("ground", "box", friction=lambda speed: 0.3 + 0.1 * np.exp(-speed))
+    traj = cvi.simulate(scene, v0=scene.velocity({"box": (0.5, 0, 0)}), duration=0.05, dt=1e-3)
+    panel = cvi.plot_forces(traj).axes[2]
+    assert "a function of the slip" in panel.texts[0].get_text()
+    assert labels(panel) == []
+
+
+@pytest.mark.parametrize("options", [{"dt": 1e-3}, {"dt": 0.05, "order": 8}, {"tol": 1e-8}])
+def test_the_angle_of_a_joint_without_end_goes_on_over_whole_turns(options):
+    """A hinge without weight turns at 20 rad/s: by 40 rad, also where nodes are more than half a turn apart."""
+    scene = cvi.Scene(gravity=(0, 0, 0))
+    scene.add_urdf("models/damped_pendulum.urdf")
+    scene.set_joint("hinge", damping=0.0)
+    traj = cvi.simulate(scene, scene.configuration({"hinge": 1.0}), [20.0], duration=2.0, **options)
+    angle = traj.table("states").column("hinge.angle")
+    assert np.abs(angle - (1.0 + 20.0 * traj.t)).max() < 1e-7
+    panel = cvi.plot_states(traj).axes[0]
+    assert panel.get_ylabel() == "angle [rad]"
+    assert labels(panel) == ["hinge.angle"]
+    assert np.array_equal(panel.get_lines()[0].get_ydata(), angle)
+
+
+def test_a_size_a_window_and_pairs(box):
+    span, room = (0.1, 0.3), 0.01 * 0.2
+    for draw in (cvi.plot, cvi.plot_states, cvi.plot_forces):
+        figure = draw(box, size=(7.0, 9.0), window=span)
+        assert figure.get_size_inches() == pytest.approx((7.0, 9.0))
+        for axis in figure.axes:
+            assert axis.get_xlim() == pytest.approx((span[0] - room, span[1] + room))
+            for line in axis.get_lines():
+                t = np.asarray(line.get_xdata(), dtype=float)
+                if len(t) > 2:
+                    assert np.nanmin(t) > span[0] - 0.05
+                    assert np.nanmax(t) < span[1] + 0.05
+        figure.canvas.draw()
+        page = figure.bbox
+        for axis in figure.axes:  # nothing is cut, and labels stand below each other
+            tight = axis.get_tightbbox()
+            assert tight.x0 >= page.x0 and tight.x1 <= page.x1 and tight.y0 >= page.y0 and tight.y1 <= page.y1  # noqa: PT018
+        assert len({round(axis.yaxis.label.get_window_extent().x1) for axis in figure.axes if axis.get_ylabel()}) == 1
+        with pytest.raises(cvi.InputError, match=r"at least 5\.2 inches of width .* Use size=\(5\.2, "):
+            draw(box, size=(3.0, 2.0))
+        with pytest.raises(cvi.InputError, match="two times of the run in order"):
+            draw(box, window=(0.3, 0.1))
+
+
+def test_chosen_pairs():
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    for k in range(3):
+        scene.add_box(f"b{k}", (0.1, 0.1, 0.1), placement=(0.3 * k, 0, 0.05))
+    scene.set_contact(restitution=0.0, friction=0.4)
+    traj = cvi.simulate(scene, duration=0.05, dt=1e-3)
+    assert [name for name in labels(cvi.plot_forces(traj).axes[0]) if "b" in name] != []
+    chosen = labels(cvi.plot_forces(traj, pairs=[("b1", "ground")]).axes[0])
+    assert [name for name in chosen if "|" in name] == ["b1 | ground" if "b1 | ground" in chosen else "ground | b1"]
+    assert len(labels(cvi.plot(traj, pairs=[("b0", "ground"), ("b2", "ground")]).axes[2])) == 2
+    with pytest.raises(cvi.InputError, match="have no contact in this run"):
+        cvi.plot_forces(traj, pairs=[("b0", "b1")])
+
+
+def test_neighbours_have_different_colours():
+    scene = cvi.Scene()
+    for k in range(10):
+        scene.add_box(f"b{k}", (0.1, 0.1, 0.1), placement=(0.15 * k, 0, 0))
+    colors = [tuple(picture.geometry.meshColor) for picture in scene.pictures()]
+    assert len(set(colors)) == 8
+    assert all(a != b for a, b in zip(colors, colors[1:], strict=False))

@@ -142,3 +142,16 @@ def test_simulators_and_ledgers_are_a_line():
     sim.step()
     assert repr(sim) == "<Simulator: nq = 7, nv = 6, t = 2.011 s, SUCCESS>"
     assert repr(sim.trajectory().ledger) == "<Ledger: 12 nodes, 0 impacts>"
+
+
+def test_print_shows_a_short_table():
+    run = cvi.simulate(cvi.load_scene(MODELS / "bouncing_ball.toml"))
+    lines = str(run.events).splitlines()
+    assert lines[0] == f"Impacts: {len(run.events)} (CTEC)"
+    assert lines[1].split()[:3] == ["t", "[s]", "pair"]
+    assert len(lines) == 2 + 9  # the first four, the last four, and what is left out
+    assert f"{run.events[0].time:.9g}  ball | ground" in lines[2]
+    assert len({line.index("ball") for line in lines[2:6]}) == 1
+    assert str(run.contact_changes) == "Contact changes: 0"
+    assert str(run.contacts).startswith(f"Contacts: {len(run.contacts)} rows of 1 pairs")
+    assert repr(run.events) == f"<EventLog: {len(run.events)} events>"

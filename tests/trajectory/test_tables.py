@@ -208,7 +208,7 @@ def test_csv(run, tmp_path):
     """Numbers come back to the bit; units.csv names every column of every file."""
     written = run.to_csv(tmp_path / "tables")
     assert {path.name for path in written} == {
-        *(f"{name}.csv" for name in TABLES if name not in ("dense_steps", "forces")), "units.csv",
+        *(f"{name}.csv" for name in TABLES if name not in ("dense_steps", "efforts", "forces")), "units.csv",
     }  # fmt: skip
     frame = pandas.read_csv(tmp_path / "tables" / "contacts.csv", dtype=str, keep_default_na=False)
     expected = run.table("contacts")

@@ -202,6 +202,7 @@ def test_every_entry_is_documented(ball, tmp_path):
     stored |= {f"dense/{name}" for name in dense_steps.FIELDS}  # of runs with dense steps
     stored |= {"force/work", "force/reactions"}  # tests/elements/test_elements.py
     stored |= {f"input/{name}" for name in ("saturated", "control", "target", *STORED)}  # test_stored_inputs.py
+    stored |= {"effort"}  # of runs with driven joints, tests/trajectory/test_efforts.py
     stored |= {"arc/t", "arc/dt"}  # of runs with dt "auto", tests/simulation/test_adaptive.py
     assert described == {name for name in stored if not name.startswith("array/")}
 
