@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 Array = np.ndarray
 EXACT, COAL = 2e-9, 1e-5  # [m] of the closed forms, with the 1e-9 that is promised, and of coal's sharp shapes
-ROUNDING = 1e-5  # [m], the largest radius of rounded edges
+ROUNDING = 1e-6  # [m], the largest radius of rounded edges
 FAILED = 1e100
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 

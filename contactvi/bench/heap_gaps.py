@@ -24,7 +24,7 @@ class GapCheck:
     bounding spheres come nearer than the least gap found.
     """
 
-    ROUNDING = 1e-5  # [m] of the edges, at most SHARE of the least half size of the shape
+    ROUNDING = 1e-6  # [m] of the edges, at most SHARE of the least half size of the shape
     SHARE = 0.2
 
     def __init__(self, heap: Heap) -> None:

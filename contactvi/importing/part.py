@@ -21,7 +21,7 @@ from contactvi.inputs import is_text, real, unit_vector, vector
 
 COLORS = (
     (0.90, 0.40, 0.20, 1.0),
-    (0.25, 0.50, 0.85, 1.0),
+    (0.45, 0.66, 0.92, 1.0),  # lighter than the arrows of forces, shaded too
     (0.40, 0.70, 0.35, 1.0),
     (0.80, 0.65, 0.20, 1.0),
     (0.55, 0.40, 0.75, 1.0),

@@ -41,6 +41,42 @@ double root_by_rate(double low, double high, double x, double target, int max_ev
   return x;
 }
 
+// Root in (0, high] of a function that falls from low_value >= 0 at 0 to high_value < 0 at high: the Illinois method
+// (Dowell, Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11, 1971), with a
+// bisection every eighth time. Ends where |value| <= small, or where the bracket is narrower than width; the function
+// has then been evaluated last at the root. value(x, fx) sets fx, and is false where the function cannot be evaluated:
+// the search then ends with false.
+template <class Value>
+bool root_by_value(double low_value, double high, double high_value, double small, double width, int max_evaluations,
+                   Value value, double& root) {
+  double a = 0.0, b = high, fa = low_value, fb = high_value;
+  root = high;
+  int side = 0;
+  for (int k = 0; k < max_evaluations && b - a > width; ++k) {
+    double x = 0.5 * (a + b);
+    if (fa > fb && k % 8 != 7) x = b - fb * (b - a) / (fb - fa);
+    if (!(x > a && x < b)) x = 0.5 * (a + b);
+    double fx = 0.0;
+    if (!value(x, fx)) return false;
+    root = x;
+    if (std::abs(fx) <= small) return true;
+    if (fx < 0.0) {
+      b = x;
+      fb = fx;
+      if (side < 0) fa *= 0.5;
+      side = -1;
+    } else {
+      a = x;
+      fa = fx;
+      if (side > 0) fb *= 0.5;
+      side = 1;
+    }
+  }
+  root = b;
+  double fx = 0.0;
+  return value(root, fx);
+}
+
 // Where a parabola x(f) through three points of a function meets f = 0 (inverse quadratic interpolation).
 struct PointOfFunction {
   double x, f;
@@ -53,7 +89,7 @@ inline double meets_zero(const PointOfFunction& a, const PointOfFunction& b) {
   return b.x - b.f * (b.x - a.x) / (b.f - a.f);
 }
 
-// Root in (0, high] of a function that falls from low_value >= 0 at 0 to high_value < 0 at high: inverse quadratic
+// As root_by_value, of a function that may be known before the root alone and near it: inverse quadratic
 // interpolation, with a bisection where a step is not half of the one before the last (Brent, "Algorithms for
 // minimization without derivatives", 1973, chapter 4). Beyond the root the function may be -infinity, which tells the
 // side alone: as long as nothing else is known there, the bracket is cut to a small part of itself until a point before
@@ -63,8 +99,8 @@ inline double meets_zero(const PointOfFunction& a, const PointOfFunction& b) {
 // then ends with false, but for a first time while the bracket is cut, after which it is halved: what is found by going
 // on from the last point may not be found so far from it.
 template <class Value>
-bool root_by_value(double low_value, double high, double high_value, double small, double width, int max_evaluations,
-                   Value value, double& root) {
+bool root_from_before(double low_value, double high, double high_value, double small, double width, int max_evaluations,
+                      Value value, double& root) {
   double part = 1.0 / 32;  // of the bracket: roots are as likely in each octave
   PointOfFunction a{0.0, low_value}, b{high, high_value}, other{kNaN, kNaN};  // other: known before, outside of [a, b]
   double last = high, step = INFINITY, before = INFINITY;  // last point, last step between points, the one before

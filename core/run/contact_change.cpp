@@ -102,7 +102,7 @@ bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
     double high_value = step_->slip_left(i), root = high;
     if (high != solved_ && !remaining_slip(tau, high, high_value)) return false;
     if (high_value >= 0.0) continue;
-    if (!root_by_value(
+    if (!root_from_before(
             step_->slip_at_start(i), high, high_value, small, kAlpha, kMaxEvaluations,
             [&](double x, double& f) { return remaining_slip(tau, x, f); }, root))
       return false;
