@@ -77,10 +77,10 @@ bool root_by_value(double low_value, double high, double high_value, double smal
   return value(root, fx);
 }
 
-// Where a parabola x(f) through three points of a function meets f = 0 (inverse quadratic interpolation).
 struct PointOfFunction {
   double x, f;
 };
+// Where a parabola x(f) through three points of a function, or a line through two, meets f = 0.
 inline double meets_zero(const PointOfFunction& a, const PointOfFunction& b, const PointOfFunction& c) {
   return a.x * b.f / (b.f - a.f) * c.f / (c.f - a.f) + b.x * a.f / (a.f - b.f) * c.f / (c.f - b.f) +
          c.x * a.f / (a.f - c.f) * b.f / (b.f - c.f);

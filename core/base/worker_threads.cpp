@@ -2,24 +2,32 @@
 
 #include <unistd.h>
 
-#include "base/parallel.hpp"
-
 namespace contactvi {
 
-WorkerThreads::WorkerThreads(int helpers) : process_(getpid()) {
-  threads_ = start_threads(helpers, [this] { help(); });
+namespace {
+thread_local bool is_helper = false;
 }
 
+WorkerThreads::WorkerThreads(int helpers) : shared_(std::make_unique<Shared>()), process_(getpid()) {
+  threads_ = start_threads(helpers, [&shared = *shared_] { help(shared); });
+}
+
+bool WorkerThreads::in_helper() { return is_helper; }
+
+bool WorkerThreads::has_helpers() const { return !threads_.empty() && getpid() == process_; }
+
 WorkerThreads::~WorkerThreads() {
-  if (getpid() != process_) {
+  if (!threads_.empty() && !has_helpers()) {
+    // What the threads of the other process waited for when this one was forked would wait for them to leave it.
     for (std::thread& thread : threads_) thread.detach();
+    static_cast<void>(shared_.release());
     return;
   }
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    ends_ = true;
+    const std::lock_guard<std::mutex> lock(shared_->mutex);
+    shared_->ends = true;
   }
-  came_.notify_all();
+  shared_->came.notify_all();
   for (std::thread& thread : threads_) thread.join();
 }
 
@@ -36,20 +44,22 @@ bool WorkerThreads::take_one(Call& call) {
   return true;
 }
 
-void WorkerThreads::help() {
+void WorkerThreads::help(Shared& shared) {
+  is_helper = true;
   for (long seen = 0;;) {
     std::shared_ptr<Call> call;
     {
-      std::unique_lock<std::mutex> lock(mutex_);
-      came_.wait(lock, [&] { return ends_ || calls_ != seen; });
-      if (ends_) return;
-      seen = calls_;
-      call = call_;
+      std::unique_lock<std::mutex> lock(shared.mutex);
+      shared.came.wait(lock, [&] { return shared.ends || shared.calls != seen; });
+      if (shared.ends) return;
+      seen = shared.calls;
+      call = shared.call;
     }
     while (call && take_one(*call)) {
     }
-    const std::lock_guard<std::mutex> lock(mutex_);  // so that the caller, who looks before it waits, misses nothing
-    finished_.notify_one();
+    // Locked so that the caller, who looks before it waits, misses nothing.
+    const std::lock_guard<std::mutex> lock(shared.mutex);
+    shared.finished.notify_one();
   }
 }
 
@@ -58,18 +68,21 @@ void WorkerThreads::run(int count, const std::function<void(int)>& work) {
   call->work = &work;
   call->count = count;
   call->thrown.resize(static_cast<std::size_t>(count));
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    call_ = call;
-    ++calls_;
+  const bool helped = has_helpers();
+  if (helped) {
+    {
+      const std::lock_guard<std::mutex> lock(shared_->mutex);
+      shared_->call = call;
+      ++shared_->calls;
+    }
+    shared_->came.notify_all();
   }
-  came_.notify_all();
   while (take_one(*call)) {
   }
-  {
-    std::unique_lock<std::mutex> lock(mutex_);
-    finished_.wait(lock, [&] { return call->done == count; });
-    call_.reset();
+  if (helped) {
+    std::unique_lock<std::mutex> lock(shared_->mutex);
+    shared_->finished.wait(lock, [&] { return call->done == count; });
+    shared_->call.reset();
   }
   for (const std::exception_ptr& error : call->thrown)
     if (error) std::rethrow_exception(error);

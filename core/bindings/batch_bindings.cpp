@@ -13,7 +13,7 @@
 #include <utility>
 #include <vector>
 
-#include "base/parallel.hpp"
+#include "base/worker_threads.hpp"
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
 #include "bindings/kept_state.hpp"

@@ -251,22 +251,21 @@ std::pair<Array2, Array2> compliant_contacts(const Scene& s, const Rows& q, cons
     public_to_engine(s.tree, at, speed);
     bodies.place(at);
     bodies.move(speed);
-    std::vector<std::pair<const CompliantContact*, Press>> met;
+    std::vector<std::tuple<const CompliantContact*, Touch<double>, Vec3>> met;  // velocity of a against b
     std::vector<AskedPress> asked;
     for (const CompliantContact& c : s.tree.elements.compliances) {
       const Touch<double> touch = touch_of(c, bodies.placements());
       if (!(touch.gap < 0.0)) continue;
       const Vec3 w = bodies.velocity(c.body_a, touch.point) - bodies.velocity(c.body_b, touch.point);
-      met.push_back({&c, Press{touch, {}, w, {}}});
+      met.emplace_back(&c, touch, w);
       asked.push_back(asked_press(c.law, touch, w));
     }
     ask(asked, false);
     for (std::size_t k = 0; k < met.size(); ++k) {
-      const auto& [contact, press] = met[k];
+      const auto& [contact, touch, w] = met[k];
       const CompliantContact& c = *contact;
-      const Touch<double>& touch = press.touch;
       const bool acts = presses(c.law, touch.gap, asked[k].along, asked[k].given);
-      const Vec3 force = acts ? press_of(c.law, touch, press.velocity, asked[k].given).force : Vec3(Vec3::Zero());
+      const Vec3 force = acts ? press_of(c.law, touch, w, asked[k].given).force : Vec3(Vec3::Zero());
       const double sign = c.reversed ? 1.0 : -1.0;  // the normal is from b to a, and the force that on a
       const Vec3 n = sign * touch.normal, f = sign * force;
       found.push_back({static_cast<double>(i), static_cast<double>(c.pair), -touch.gap, n[0], n[1], n[2],

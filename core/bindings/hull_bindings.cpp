@@ -9,7 +9,7 @@
 #include <cstdint>
 #include <limits>
 
-#include "base/parallel.hpp"
+#include "base/worker_threads.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
 #include "model/convex_hull.hpp"

@@ -15,7 +15,7 @@
 #include <utility>
 #include <vector>
 
-#include "base/parallel.hpp"
+#include "base/worker_threads.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"

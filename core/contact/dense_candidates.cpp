@@ -98,7 +98,7 @@ void DenseCandidates::add_points(const Near& near, const std::vector<DenseImpuls
   for (const ContactPoint& point : points_) {
     Contact contact;
     if (any_seams) evaluate(point, &near.witness0, contact);
-    if (any_seams && seams.slack(near.guard, guards_->placements(), contact) >= Guards::kFeatureRounding) continue;
+    if (any_seams && seams.slack(near.guard, guards_->placements(), contact) >= kFeatureRounding) continue;
     add(point, frozen(point, near.witness0), near, impulses);
   }
   if (!scene_->is_pair(near.guard)) return;

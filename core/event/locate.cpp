@@ -242,7 +242,7 @@ Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
     x = next;
   }
   // Where the closest feature of a pair changes, its gap jumps by rounding.
-  const bool jumps = hi - lo <= kSamePlaceInStep * hi && std::abs(p.gap) <= Guards::kFeatureRounding;
+  const bool jumps = hi - lo <= kSamePlaceInStep * hi && std::abs(p.gap) <= kFeatureRounding;
   return std::abs(p.gap) <= tolerance || jumps ? accept(g, p, false) : fail(Search::kUnresolved, g, p.gap);
 }
 

@@ -5,6 +5,9 @@
 
 namespace contactvi {
 
+// [m] by which the features of a face that is flat to rounding differ.
+constexpr double kFeatureRounding = 1e-10;
+
 // World frame. normal points from body a to body b; gap = (point_b - point_a).normal, negative in penetration.
 struct Contact {
   double gap;

@@ -124,8 +124,6 @@ class Guards {
   void surface_turning(int guard, const Contact& contact, const Vec3& t1, double t, VecRef rates);
   // How far from zero a gap may be and still count as touching [m; rad].
   static constexpr double kTouching = 1e-11;
-  // [m] by which the features of a face that is flat to rounding differ.
-  static constexpr double kFeatureRounding = 1e-10;
   // How deep a gap may be at the start of a step: features of a face differ by rounding, coal's distances by theirs.
   double depth_tolerance(int guard) const;
   // To what a root is located [m; rad].

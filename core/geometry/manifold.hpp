@@ -192,7 +192,7 @@ class Manifolds {
   // The geometry of a pair that is a surface given by a function, null: none.
   const Geometry* surface_of(int pair) const;
   void list_on_surface(int pair, const PairView& v, const Placements& at, CandidateSink& sink);
-  void list_feet(int pair, const PairView& v, CandidateSink& sink);
+  void list_feet(int pair, const PairView& v, const Placements& at, CandidateSink& sink);
   int number_of_foot(const FunctionSurface& surface, int pair, int vertex, const Vec3& point, const Vec3& place) const;
   void list_common_normals(int pair, const Placements& at, CandidateSink& sink);
   void move_on_solids(ContactPoint& point, const Placements& at);

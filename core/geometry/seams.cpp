@@ -20,9 +20,6 @@ namespace {
 constexpr double kFlushShapes = 1e-9;
 // [m] What a neighbour has to reach beyond a place at least: the rounding of a place.
 constexpr double kBeyondPlace = 1e-14;
-// [m] The largest slack, which is the tolerance of features (Guards::kFeatureRounding).
-constexpr double kMostSlack = 1e-10;
-
 // [m] So far beyond an edge a neighbour has to go on; more than edges are rounded by.
 constexpr double kGoesOn = 1e-5;
 
@@ -104,7 +101,7 @@ double Seams::beyond(int other, int geometry, const Placements& at, const Vec3& 
       // The nearest point of a rounded edge lies inside of the sharp one.
       if (!holds(o, x, kFlushShapes + (rounded ? scene_->geometries[geometry].rounding : 0.0))) return;
       const double beyond = reach_along(o, m) - m.dot(x);
-      if (beyond > kBeyondPlace) most = std::max(most, std::min(beyond, kMostSlack));
+      if (beyond > kBeyondPlace) most = std::max(most, std::min(beyond, kFeatureRounding));
     });
   }
   return most;

@@ -8,10 +8,10 @@
 // neighbour holds the nearest point x of a shape and reaches beyond x along the normal there, the place is an inner one
 // of the union: the neighbour is nearer, and has a pair of its own.
 //
-// Such a place is not left out, because the distance of a pair has to be bounded by motion. Its gap counts as larger by
-// how far the neighbour reaches beyond it, and at most by the rounding of features, which is how deep what persists on
-// the neighbour may be. Then a pair closes where its place is one of the union, in one way with the neighbour's, and
-// nowhere later than by that rounding: where shapes are not flush, what is wrong is a gap of 1e-10 m.
+// Such a place is not left out, because the distance of a pair has to be bounded by motion. Its gap counts as larger
+// by how far the neighbour reaches beyond it, and at most by the rounding of features (kFeatureRounding), which is how
+// deep what persists on the neighbour may be. Then a pair closes where its place is one of the union, in one way with
+// the neighbour's, and nowhere later than by that rounding: where shapes are not flush, gaps are 1e-10 m off.
 #pragma once
 
 #include <vector>

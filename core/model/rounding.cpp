@@ -11,8 +11,8 @@
 #include <unordered_map>
 
 #include "base/error.hpp"
-#include "base/parallel.hpp"
 #include "base/refusal.hpp"
+#include "base/worker_threads.hpp"
 #include "model/convex_hull.hpp"
 #include "model/hull_access.hpp"
 #include "model/polytope_shape.hpp"

@@ -6,7 +6,7 @@
 #include <optional>
 #include <thread>
 
-#include "base/parallel.hpp"
+#include "base/worker_threads.hpp"
 #include "model/coordinates.hpp"
 #include "step/integrator.hpp"
 #include "step/lost_velocity.hpp"

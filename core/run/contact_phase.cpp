@@ -153,7 +153,7 @@ bool Simulator::sinks_deeper(Recording& recording, double time) {
   if (worst < 0) return false;
   guards_.place(state_.q);
   const double before = guards_.gap(worst);
-  if (least < before - Guards::kFeatureRounding) return true;
+  if (least < before - kFeatureRounding) return true;
   record_overlap(worst, least, time, recording);
   return false;
 }

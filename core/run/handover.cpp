@@ -97,7 +97,7 @@ void Simulator::reset_counters() {
 
 bool Simulator::step_island(long step, double t, double length, const VecX& tau, const MatX& target,
                             const Progress& progress, Recording& recording) {
-  progress_ = &progress;
+  reports_.go_on(progress);
   state_.step = step;
   state_.status.code = StatusCode::kSuccess;
   if (tau.size() > 0) state_.work.expect_inputs();

@@ -208,10 +208,7 @@ void Simulator::record_segment(double t, double h, const VecX& p1, Recording& re
 
 // True unless the caller asks to stop.
 bool Simulator::report_progress(double time) {
-  using Clock = std::chrono::steady_clock;
-  if (!*progress_ || Clock::now() - last_report_ < std::chrono::milliseconds(100)) return true;
-  last_report_ = Clock::now();
-  return (*progress_)(time, state_.impacts) || end(StatusCode::kInterrupted, time, "interrupted");
+  return reports_.ask(time, state_.impacts) || end(StatusCode::kInterrupted, time, "interrupted");
 }
 
 // The first node of a call, and what the reset has left to record.
@@ -221,8 +218,7 @@ void Simulator::start_recording(const Progress& progress, Recording& recording) 
   std::vector<ChangeRecord>& initial = state_.initial_changes;
   recording.changes.insert(recording.changes.end(), initial.begin(), initial.end());
   initial.clear();
-  last_report_ = std::chrono::steady_clock::now();
-  progress_ = &progress;
+  reports_.begin(progress);
 }
 
 Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <functional>
 #include <memory>
@@ -12,6 +11,7 @@
 #include "run/contact_change.hpp"
 #include "run/contact_modes.hpp"
 #include "run/contact_set.hpp"
+#include "run/progress.hpp"
 #include "run/run_state.hpp"
 #include "run/side_by_side.hpp"
 
@@ -63,9 +63,6 @@ bool keeps_constraints(const Tree& tree, const SimulatorOptions& options);
 // Whether some pair has friction against spinning or rolling: then persistent contacts are left to contact steps, and
 // there are no dense steps.
 bool has_turning_friction(const Scene& scene);
-
-// Called about ten times a second with (time [s], impacts so far); false asks the run to stop.
-using Progress = std::function<bool(double, long)>;
 
 class Simulator {
  public:
@@ -330,9 +327,8 @@ class Simulator {
   std::vector<ContactStepRecord> kept_steps_;
   std::vector<DenseStepRecord> kept_dense_steps_;
   std::vector<HeldStepRecord> kept_held_steps_;
-  EngineMemory fresh_;                  // as it is before any run
-  const Progress* progress_ = nullptr;  // of the present call of advance or run_auto
-  std::chrono::steady_clock::time_point last_report_;
+  EngineMemory fresh_;       // as it is before any run
+  ProgressReports reports_;  // of the present call of advance or run_auto
 };
 
 }  // namespace contactvi

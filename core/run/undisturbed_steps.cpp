@@ -52,7 +52,7 @@ void Simulator::pass_foreseen(int count, double last_start) {
 }
 
 void Simulator::pass_island(int count, long last_step, double last_start, const Progress& progress) {
-  progress_ = &progress;
+  reports_.go_on(progress);
   state_.step = last_step;
   state_.status.code = StatusCode::kSuccess;
   pass_foreseen(count, last_start);

@@ -36,7 +36,7 @@ World::World(const Scene& scene, const SimulatorOptions& options)
   // Now, while the memory of its engine is fresh.
   if (may_divide()) island_of(numbers_up_to(trees_.count()));
   island_progress_ = [this](double t, long impacts) {
-    return std::this_thread::get_id() == caller_ ? ask(t, state_.impacts + impacts) : !stopped_;
+    return WorkerThreads::in_helper() ? !stopped_ : ask(t, state_.impacts + impacts);
   };
   // Errors of the user's functions are kept by the thread in which they happen.
   if (options.threads > 1 && may_divide() && scene.tree.elements.functions == nullptr)
@@ -461,12 +461,9 @@ void World::record_node(Recording& recording) {
   state_.work.record_node(state_.time, scene_->tree, recording);
 }
 
-// Asks the caller about ten times a second whether to go on.
+// Asks the caller whether to go on.
 bool World::ask(double time, long impacts) {
-  using Clock = std::chrono::steady_clock;
-  if (!*progress_ || Clock::now() - last_report_ < std::chrono::milliseconds(100)) return true;
-  last_report_ = Clock::now();
-  if ((*progress_)(time, impacts)) return true;
+  if (reports_.ask(time, impacts)) return true;
   stopped_ = true;
   return false;
 }
@@ -480,10 +477,8 @@ bool World::report_progress() {
 Status World::advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
                       Recording& recording) {
   if (!divided_) return whole_.advance(steps, tau, target, record_every, progress, recording);
-  progress_ = &progress;
-  caller_ = std::this_thread::get_id();
+  reports_.begin(progress);
   stopped_ = false;
-  last_report_ = std::chrono::steady_clock::now();
   state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
   if (tau.rows() > 0) state_.work.expect_inputs();
   if (steps > 1) recording.expect(steps / record_every + 2, scene_->tree.nq, scene_->tree.nv);

@@ -12,7 +12,6 @@
 #include <atomic>
 #include <map>
 #include <memory>
-#include <thread>
 
 #include "base/worker_threads.hpp"
 #include "run/island.hpp"
@@ -133,14 +132,12 @@ class World {
   VecX q1_, p1_;  // the state after the interval; of what lies still at any time
   std::vector<Entry> entries_;
   std::vector<double> foreseen_;  // of intervals in which nothing happens: as how many reference intervals they count
-  const Progress* progress_ = nullptr;
+  ProgressReports reports_;
   Progress island_progress_;
-  // Those that advance islands besides the caller's, who alone asks its `progress_`; the others hear that it has ended
-  // the run.
+  // The threads that advance islands besides the caller's, who alone is asked; the others hear that it has ended the
+  // run.
   std::unique_ptr<WorkerThreads> helpers_;
-  std::thread::id caller_;
   std::atomic<bool> stopped_{false};
-  std::chrono::steady_clock::time_point last_report_;
 };
 
 template <class Call>

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing as mp
 
 import numpy as np
@@ -84,9 +85,14 @@ def test_an_error_of_a_progress_function_ends_the_run():
         cvi.simulate(scene, q, v, duration=100.0, dt=1e-3, threads=3, progress=progress)
 
 
-def step_on(simulator: cvi.Simulator, steps: int, found: mp.SimpleQueue) -> None:
+def step_on(simulators: list[cvi.Simulator], steps: int, found: mp.SimpleQueue) -> None:
+    """Steps on, and takes the simulator apart: its threads are in the other process."""
+    simulator = simulators.pop()
     simulator.run(steps)
-    found.put(simulator.q)
+    end = simulator.q.copy()
+    del simulator
+    gc.collect()
+    found.put(end)
 
 
 def test_a_forked_process_goes_on_without_the_threads():
@@ -96,8 +102,11 @@ def test_a_forked_process_goes_on_without_the_threads():
     simulator.run(20)
     context = mp.get_context("fork")
     found = context.SimpleQueue()
-    process = context.Process(target=step_on, args=(simulator, 30, found))
+    simulators = [simulator]
+    process = context.Process(target=step_on, args=(simulators, 30, found))
+    del simulator
     process.start()
+    simulator = simulators.pop()
     there = found.get()
     process.join()
     simulator.run(30)
