@@ -17,8 +17,7 @@ _SAMPLES = np.stack(
     np.meshgrid(np.geomspace(1e-6, 1e-2, 9), [-1.0, -0.1, -0.01, 0.0, 0.02, 0.2, 2.0], indexing="ij"), axis=-1
 ).reshape(-1, 2)  # depths [m] and their rates [m/s] at which laws are tried
 _RUBBING = np.stack(
-    np.meshgrid(np.geomspace(1e-3, 1e4, 8), [0.0, 1e-3, 0.03, 0.2, 1.0], indexing="ij"),
-    axis=-1,
+    np.meshgrid(np.geomspace(1e-3, 1e4, 8), [0.0, 1e-3, 0.03, 0.2, 1.0], indexing="ij"), axis=-1
 ).reshape(-1, 2)  # normal forces [N] and slips [m/s]
 _SHALLOW = 1e-8  # [m] depth at which the power is found with which a law begins
 _WHOLE = 1e-3  # by how much a power may miss a whole number
@@ -61,20 +60,10 @@ class Compliance:
         bound = None
         if friction_bound is not None:
             if friction is not None:
-                raise _misplaced(
-                    "friction",
-                    friction,
-                    "None with friction_bound=, which is the whole friction",
-                )
+                raise _misplaced("friction", friction, "None with friction_bound=, which is the whole friction")
             name = "the bound on the friction of a compliance"
             bound = contact_function(
-                "friction_bound",
-                name,
-                (NORMAL, SLIP),
-                friction_bound,
-                None,
-                "the friction [N]",
-                pushes=True,
+                "friction_bound", name, (NORMAL, SLIP), friction_bound, None, "the friction [N]", pushes=True
             )
             bound.check("friction_bound", _RUBBING)
             rubs = 0.0

@@ -16,6 +16,7 @@ from contactvi.importing.joint_kinds import joint_kind
 from contactvi.records.actuation import Actuation
 from contactvi.scene.build import Built
 from contactvi.scene.scene import Scene
+from contactvi.trajectory import angles
 
 Array = NDArray[np.float64]
 
@@ -28,16 +29,9 @@ class Efforts(NamedTuple):
     values: Array
 
 
-class Run(Protocol):
+class Run(angles.Run, Protocol):
     """What efforts are computed from; contactvi.Trajectory has it."""
 
-    t: Array
-    q: Array
-
-    @property
-    def scene(self) -> Scene: ...
-    @property
-    def v(self) -> Array: ...
     @property
     def actuation(self) -> Actuation | None: ...
 

@@ -166,11 +166,11 @@ def test_no_impact_is_made_plastic_that_is_faster_than_the_one_before(seed):
     run = cvi.simulate(scene, v0=v, duration=0.6, dt=1e-3, order=8)
     speeds = np.maximum(0.0, -run.events.array("gamma_minus"))
     times = run.events.array("time")
-    for change in run.contact_changes:
-        if change.change != "bouncing ended":
-            continue
-        at = int(np.flatnonzero(times == change.time)[0])
-        assert speeds[at] <= speeds[at - 1] * (1.0 + 1e-9)
+    ends = [change.time for change in run.contact_changes if change.change == "bouncing ended"]
+    assert ends or seed is not None
+    for time in ends:
+        at = int(np.flatnonzero(times == time)[0])
+        assert speeds[at] <= speeds[at - 1] * (1.0 + 1e-9)  # rounding of the map of a single impact
 
 
 def test_a_slam_among_short_flights_keeps_the_accuracy():
