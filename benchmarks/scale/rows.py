@@ -85,7 +85,7 @@ def rest_rows() -> list[Row]:
 def body_rows() -> list[Row]:
     job = {"scene": {"kind": "flight", "count": 300}, "measure": "run", "dt": 2e-3, "duration": 0.8}
     found = [Row("flight", "300 bodies in flight", job, unit="us_per_step", bar=150.0, quick=True)]
-    for count, duration in ((10, 5.0), (100, 0.5), (1000, 0.1)):
+    for count, duration in ((10, 5.0), (100, 0.5), (1000, 0.3)):
         job = {"scene": {"kind": "gas", "count": count}, "measure": "run", "dt": 1e-2, "duration": duration}
         name = f"elastic gas of {count}"
         found.append(Row("gas", name, job, "us_per_impact", bar=50.0, extra={"drift": 1e-12}, quick=count < 1000))

@@ -18,6 +18,16 @@ inline double separation(const Box& a, const Box& b) {
   return ((a.center - b.center).cwiseAbs() - a.half - b.half).maxCoeff();
 }
 
+// The direction of that axis from a to b.
+inline Vec3 separating_axis(const Box& a, const Box& b) {
+  const Vec3 line = b.center - a.center;
+  int axis = 0;
+  (line.cwiseAbs() - a.half - b.half).maxCoeff(&axis);
+  Vec3 direction = Vec3::Zero();
+  direction[axis] = line[axis] < 0.0 ? -1.0 : 1.0;
+  return direction;
+}
+
 // Of a geometry that is no halfspace, with its body as placed. Also of its rounded shape, which reaches as far along
 // the axes of the geometry.
 Box box_of(const Geometry& geometry, const Placements& at);

@@ -10,6 +10,9 @@ namespace contactvi {
 
 namespace {
 
+// In a path that is followed from impact to impact: one that hops more often in an interval stays where it is.
+constexpr std::size_t kMostBends = 8;
+
 int position(const std::vector<int>& sorted, int value) {
   const auto at = std::lower_bound(sorted.begin(), sorted.end(), value);
   return at != sorted.end() && *at == value ? static_cast<int>(at - sorted.begin()) : -1;
@@ -82,8 +85,17 @@ void Island::find_bases(const StaticTrees& all) {
     base.push_back(joint.parent < 0 ? -1 : base[joint.parent]);
     if (joint.parent < 0 && joint.type == JointType::kTranslation) {
       base.back() = static_cast<int>(bases_.size());
-      bases_.push_back(
-          {joint.iq, joint.iv, all.of_joint(numbers_->joints[j]), joint.R_PJ, -1, 0.0, Vec3::Zero(), 0.0, false});
+      bases_.push_back({joint.iq,
+                        joint.iv,
+                        all.of_joint(numbers_->joints[j]),
+                        joint.R_PJ,
+                        -1,
+                        0.0,
+                        Vec3::Zero(),
+                        {},
+                        0.0,
+                        0.0,
+                        false});
       members.push_back(0);
     }
     if (base.back() < 0) continue;
@@ -107,23 +119,34 @@ void Island::find_bases(const StaticTrees& all) {
   }
 }
 
-// The step just made, of this length [s], began at this configuration of the whole scene. In one step of the midpoint
-// rule translations go along straight lines at constant speeds; the path of what only falls is bent in several.
-void Island::find_straight(const VecX& before, double length) {
+// The step just made, from t [s] on and of this length [s], began at this configuration of the whole scene. In one step
+// of the midpoint rule translations go along straight lines at constant speeds, and so does what flies alone between
+// its impacts, but for the bow of its fall.
+void Island::find_straight(const VecX& before, double t, double length) {
   forget_straight();
   if (!ok_ || bases_.empty() || !engine_->flew()) return;
   const bool once = engine_->flew_once();
   bow_ = once ? 0.0 : engine_->scene().tree.gravity.norm() * length * length / 8.0;
   const VecX& q = std::as_const(*engine_).state().q;
   for (Base& base : bases_) {
+    const auto moved = [&](const VecX& now) {
+      Vec3 x;
+      for (int i = 0; i < 3; ++i) x[i] = now[base.iq + i] - before[numbers_->q[base.iq + i]];
+      return Vec3(base.axes * x);
+    };
     base.straight = once || (base.mass > 0.0 && tau_.size() == 0);
-    for (std::size_t k = 0; k < recording_.impacts.size() && base.straight; ++k) {
-      const auto [a, b] = guard_trees_[recording_.impacts[k].guard];
-      base.straight = a != base.tree && b != base.tree;
+    base.along = moved(q);
+    Vec3 from = Vec3::Zero();
+    base.path = 0.0;
+    for (const ImpactRecord& impact : recording_.impacts) {
+      const auto [a, b] = guard_trees_[impact.guard];
+      if (!base.straight || (a != base.tree && b != base.tree)) continue;
+      base.straight = base.bends.size() < kMostBends;
+      base.bends.push_back({std::clamp((impact.time - t) / length, 0.0, 1.0), moved(impact.q)});
+      base.path += (base.bends.back().at - from).norm();
+      from = base.bends.back().at;
     }
-    Vec3 moved;
-    for (int i = 0; i < 3; ++i) moved[i] = q[base.iq + i] - before[numbers_->q[base.iq + i]];
-    base.along = base.axes * moved;
+    base.path += (base.along - from).norm();
     if (base.turning < 0) continue;
     double turned = 0.0;
     for (int i = 0; i < 4; ++i) {
@@ -397,7 +420,7 @@ void Island::step(const VecX& before, long step, double t, double length, const 
   engine_->guards().begin_interval();
   recording_.clear();
   ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
-  find_straight(before, length);
+  find_straight(before, t, length);
   count_rest(before);
 }
 
@@ -429,8 +452,8 @@ void Island::tell_motion_of(int k, IslandGraph& graph) const {
   if (base_of_[k] < 0 || asleep()) return;
   const Base& base = bases_[base_of_[k]];
   if (base.straight)
-    graph.set_straight(g, base.along,
-                       bow_ + (only_translates_[k] ? 0.0 : std::max(0.0, motion(k) - base.along.norm())));
+    graph.set_bent(g, base.bends, base.along,
+                   bow_ + (only_translates_[k] ? 0.0 : std::max(0.0, motion(k) - base.path)));
 }
 
 void Island::tell_expected(double length, IslandGraph& graph) const {
@@ -443,7 +466,7 @@ void Island::tell_expected(double length, IslandGraph& graph) const {
     if (!(base.mass > 0.0)) continue;
     const int g = numbers_->geometries[k];
     const double turned = only_translates_[k] ? 0.0 : base.turn * engine_->scene().geometries[k].reach;
-    graph.set_straight(g, base.axes * p.segment<3>(base.iv) * (length / base.mass), turned);
+    graph.foretell(g, base.axes * p.segment<3>(base.iv) * (length / base.mass), turned);
   }
 }
 

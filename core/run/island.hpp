@@ -132,10 +132,11 @@ class Island {
   void begin(const Scene& whole, const StaticTrees& all);
   void find_share(const IslandGraph& graph);
   void find_bases(const StaticTrees& all);
-  void find_straight(const VecX& before, double length);
+  void find_straight(const VecX& before, double t, double length);
   void forget_straight() {
     for (Base& base : bases_) {
       base.straight = false;
+      base.bends.clear();
       base.turn = 0.0;
     }
   }
@@ -170,7 +171,9 @@ class Island {
     int turning;  // of a rigid body that turns besides: the place of its quaternion, else -1
     double mass;  // of a rigid body on which gravity alone acts, else 0
     Vec3 along;
-    double turn;  // about so much [rad]
+    std::vector<IslandGraph::Bend> bends;  // where impacts turned it
+    double path;                           // length of that line [m]
+    double turn;                           // about so much [rad]
     bool straight;
   };
   std::vector<Base> bases_;

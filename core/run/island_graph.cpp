@@ -13,9 +13,11 @@
 namespace contactvi {
 
 namespace {
-constexpr double kIntervals = 16.0;  // a ball's margin lasts for about so many of them,
-constexpr double kMargin = 0.05;     // and is at least this part of its radius;
-constexpr double kHuge = 1e300;      // stands for one over nothing
+// A ball's margin lasts for about so many of them, for fewer where it has many neighbours: to look at one of these in
+// each interval costs as much as kLook balls cost where a ball is renewed, which is compared with all.
+constexpr double kIntervals = 16.0, kFewIntervals = 2.0, kLook = 10.0;
+constexpr double kMargin = 0.05;  // it is at least this part of its radius;
+constexpr double kHuge = 1e300;   // stands for one over nothing
 // Where balls are renewed, or clear intervals have ended, those with less than this part of their margin left are
 // renewed: else each would end the clear intervals by itself. A bound on a distance that does not last as long as what
 // a ball is left with, kRenewed * kIntervals reaches, gives way to the exact distance.
@@ -48,7 +50,10 @@ IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
   }
   neighbours_.resize(n);
   is_active_.assign(n, 0);
+  foretold_.assign(n, 0);
   straight_.setConstant(4, static_cast<Eigen::Index>(n), kNaN);
+  bends_.resize(n);
+  intervals_.assign(n, kIntervals);
   for (std::vector<double>* list : {&reach_, &motion_, &odometer_, &limit_, &inverse_}) list->assign(n, 0.0);
   for (std::vector<double>* list : {&x_, &y_, &z_, &ball_}) list->assign(movable_.size(), 0.0);
 }
@@ -68,6 +73,8 @@ void IslandGraph::restart(const std::vector<double>& motion, const MatX& straigh
   motion_ = motion;
   straight_.setConstant(4, static_cast<Eigen::Index>(inverse_.size()), kNaN);
   if (straight.size() > 0) straight_ = straight;
+  for (std::vector<Bend>& bends : bends_) bends.clear();
+  std::fill(foretold_.begin(), foretold_.end(), char{0});
   approaching_.clear();
   knows_motion_ = true;
   room_ = used_ = largest_ = last_ = 0.0;
@@ -123,43 +130,87 @@ void IslandGraph::renew(int g, double margin) {
     neighbours_[g].push_back({other, guard, mark});
     neighbours_[other].push_back({g, guard, mark});
   }
+  // Twice the margin has up to eight times the neighbours.
+  const double looks = kLook * static_cast<double>(neighbours_[g].size()) * intervals_[g];
+  if (looks > count)
+    intervals_[g] = std::max(kFewIntervals, 0.5 * intervals_[g]);
+  else if (16.0 * looks < count)
+    intervals_[g] = std::min(kIntervals, 2.0 * intervals_[g]);
 }
 
-// A lower bound on the distance of two neighbours now: that of their balls, and that of their boxes where this would
-// not last for `reach`.
-double IslandGraph::clearance(const Neighbour& n, int g, double reach) {
+// That of their balls, and that of their boxes where this would not last for `reach`.
+IslandGraph::Apart IslandGraph::clearance(const Neighbour& n, int g, double reach) {
   const Placements& at = guards_->placements(n.guard);
   const Geometry &a = scene_->geometries[g], &b = scene_->geometries[n.geometry];
   const auto center = [&](const Geometry& geometry) {
     return Vec3(at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B);
   };
-  const double balls = (center(a) - center(b)).norm() - radius_[g] - radius_[n.geometry];
-  if (balls > reach || a.unbounded || b.unbounded || (sphere_[g] && sphere_[n.geometry])) return balls;
-  return std::max(balls, separation(box_of(a, at), box_of(b, at)));
+  const Vec3 line = center(b) - center(a);
+  const double length = line.norm();
+  Apart apart{length - radius_[g] - radius_[n.geometry], Vec3::Zero()};
+  if (apart.distance > 0.0) apart.direction = line / length;
+  if (apart.distance > reach || a.unbounded || b.unbounded || (sphere_[g] && sphere_[n.geometry])) return apart;
+  const Box box_a = box_of(a, at), box_b = box_of(b, at);
+  const double boxes = separation(box_a, box_b);
+  if (boxes > apart.distance) apart = {boxes, boxes > 0.0 ? separating_axis(box_a, box_b) : Vec3::Zero()};
+  return apart;
 }
 
-// How far two neighbours have moved against each other at most, by the motions that were told last. What moves along a
-// straight line has moved by what is left of its motion besides.
-double IslandGraph::approach(int g, const Neighbour& n) const {
-  const auto a = straight_.col(g), b = straight_.col(n.geometry);
-  const double together = motion_[g] + motion_[n.geometry], apart = (a - b).head<3>().norm() + a[3] + b[3];
-  return apart < together ? apart : together;  // also where it is NaN
+// As found by their shapes. Convex ones are apart along the normal.
+IslandGraph::Apart IslandGraph::exact_distance(const Neighbour& n, int g) {
+  Contact contact;
+  const double distance = guards_->evaluate_witness(n.guard, contact);
+  const bool convex = !scene_->geometries[g].surface && !scene_->geometries[n.geometry].surface;
+  if (!convex || !(distance > 0.0)) return {distance, Vec3::Zero()};
+  return {distance, scene_->pairs[n.guard].a == g ? contact.normal : Vec3(-contact.normal)};
 }
 
-// Whether two neighbours may meet when they move by `reach` together, and by `approach` against each other.
-bool IslandGraph::may_meet(int g, Neighbour& n, double reach, double approach) {
-  const double odometers = odometer_[g] + odometer_[n.geometry];
-  if (odometers + reach < n.mark) return false;
-  const double lasting = kRenewed * kIntervals * approach;
-  double distance = clearance(n, g, lasting);
-  if (distance <= lasting && !(sphere_[g] && sphere_[n.geometry])) {
-    Contact contact;
-    distance = guards_->distance_bound(n.guard, lasting);
-    if (!(distance > approach)) distance = guards_->evaluate_witness(n.guard, contact);
+// Where a geometry is carried in a part of the interval, from where it is at its start.
+Vec3 IslandGraph::place_in(int g, double part) const {
+  Bend from{0.0, Vec3::Zero()}, to{1.0, straight_.col(g).head<3>()};
+  for (const Bend& bend : bends_[g]) {
+    if (bend.part >= part) {
+      to = bend;
+      break;
+    }
+    from = bend;
   }
-  if (!(distance > approach)) return true;
-  n.mark = odometers + distance;
-  if (!(distance > reach)) approaching_.push_back({g, n, distance});
+  return to.part > from.part ? Vec3(from.at + (part - from.part) / (to.part - from.part) * (to.at - from.at)) : to.at;
+}
+
+// By how much two neighbours have approached each other at most, by the motions that were told last: what is apart in
+// a direction meets only by moving against it, and the paths of both together are straight between their bends.
+double IslandGraph::approach(int g, const Neighbour& n, const Vec3& direction) const {
+  const double together = motion_[g] + motion_[n.geometry];
+  if (std::isnan(straight_(0, g)) || std::isnan(straight_(0, n.geometry))) return together;
+  double nearer = 0.0;
+  const auto look = [&](const Vec3& relative) {
+    nearer = std::max(nearer, direction.isZero(0.0) ? relative.norm() : -direction.dot(relative));
+  };
+  look((straight_.col(n.geometry) - straight_.col(g)).head<3>());
+  for (int end : {g, n.geometry})
+    for (const Bend& bend : bends_[end]) look(place_in(n.geometry, bend.part) - place_in(g, bend.part));
+  return std::min(nearer + straight_(3, g) + straight_(3, n.geometry), together);
+}
+
+// Whether two neighbours may meet in an interval.
+bool IslandGraph::may_meet(int g, Neighbour& n, const Moves& moves) {
+  const double odometers = odometer_[g] + odometer_[n.geometry], reach = moves.together;
+  if (odometers + reach < n.mark) return false;
+  const double most = std::min(reach, moves.share * approach(g, n, Vec3::Zero()));
+  const double lasting = kRenewed * kIntervals * most;
+  Apart apart = clearance(n, g, lasting);
+  const auto stays = [&] {
+    return apart.distance > most || (!apart.direction.isZero(0.0) &&
+                                     apart.distance > std::min(reach, moves.share * approach(g, n, apart.direction)));
+  };
+  if (apart.distance <= lasting && !(sphere_[g] && sphere_[n.geometry])) {
+    apart = {guards_->distance_bound(n.guard, lasting), Vec3::Zero()};
+    if (!stays()) apart = exact_distance(n, g);
+  }
+  if (!stays()) return true;
+  n.mark = odometers + apart.distance;
+  if (!(apart.distance > reach)) approaching_.push_back({g, n, apart});
   return false;
 }
 
@@ -226,7 +277,7 @@ void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets)
   }
   for (int g : active_) {
     if (!outdated) break;
-    const double margin = std::max(kIntervals * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0);
+    const double margin = std::max(intervals_[g] * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0);
     if (odometer_[g] + std::max(reach_[g], kRenewed * margin) <= limit_[g]) continue;
     place(q);
     renew(g, margin);
@@ -237,7 +288,7 @@ void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets)
       const double reach = reach_[g] + reach_[n.geometry];
       if (odometer_[g] + odometer_[n.geometry] + reach < n.mark) continue;
       place(q);
-      if (may_meet(g, n, reach, std::min(reach, kReach * approach(g, n)))) join(g, n, sets);
+      if (may_meet(g, n, {reach, foretold_[g] && foretold_[n.geometry] ? 1.0 : kReach})) join(g, n, sets);
     }
   }
   find_room(sets);
@@ -252,18 +303,19 @@ void IslandGraph::join_met(const VecX& q, DisjointSets& sets) {
   joins_.clear();
   if (clear_) std::fill(reach_.begin(), reach_.end(), 0.0);  // all that move are looked at
   for (const Approaching& pair : approaching_)
-    if (!(pair.distance > approach(pair.geometry, pair.neighbour))) join(pair.geometry, pair.neighbour, sets);
+    if (!(pair.apart.distance > approach(pair.geometry, pair.neighbour, pair.apart.direction)))
+      join(pair.geometry, pair.neighbour, sets);
   bool any = false;
   for (int g : active_) any |= motion_[g] > reach_[g];
   if (!any) return;
   place(q);
   for (int g : active_)
-    if (odometer_[g] + motion_[g] > limit_[g]) renew(g, kIntervals * motion_[g]);
+    if (odometer_[g] + motion_[g] > limit_[g]) renew(g, intervals_[g] * motion_[g]);
   for (int g : active_) {
     if (!(motion_[g] > reach_[g])) continue;
     for (Neighbour& n : neighbours_[g]) {
       const int a = trees_->of_geometry(g), b = trees_->of_geometry(n.geometry);
-      if (!sets.joined(a, b) && may_meet(g, n, motion_[g] + motion_[n.geometry], approach(g, n))) join(g, n, sets);
+      if (!sets.joined(a, b) && may_meet(g, n, {motion_[g] + motion_[n.geometry], 1.0})) join(g, n, sets);
     }
   }
 }

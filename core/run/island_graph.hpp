@@ -42,11 +42,29 @@ class IslandGraph {
   void set_motion(int geometry, double distance) {
     motion_[geometry] = distance;
     straight_(0, geometry) = kNaN;
+    bends_[geometry].clear();
+    foretold_[geometry] = 0;
     count(part(geometry, distance));
   }
   // After that: no point of it was farther than `besides` [m] from where it would have been, had it been carried along
-  // this straight line [m, world] at a constant speed.
-  void set_straight(int geometry, const Vec3& along, double besides) { straight_.col(geometry) << along, besides; }
+  // this straight line [m, world] at a constant speed; with bends along straight lines from one to the next.
+  void set_straight(int geometry, const Vec3& along, double besides) {
+    straight_.col(geometry) << along, besides;
+    bends_[geometry].clear();
+  }
+  // As this, of the next interval, if it meets nothing.
+  void foretell(int geometry, const Vec3& along, double besides) {
+    set_straight(geometry, along, besides);
+    foretold_[geometry] = 1;
+  }
+  struct Bend {
+    double part;  // of the interval, until it is there
+    Vec3 at;      // from where it was at the start of the interval [m, world]
+  };
+  void set_bent(int geometry, const std::vector<Bend>& bends, const Vec3& along, double besides) {
+    straight_.col(geometry) << along, besides;
+    bends_[geometry] = bends;
+  }
   const MatX& straight() const { return straight_; }
   // And until the start of that interval.
   void set_place(int geometry, double odometer) { odometer_[geometry] = odometer; }
@@ -87,10 +105,22 @@ class IslandGraph {
   void place(const VecX& q);
   void renew(int g, double margin);
   int guard_of(int a, int b) const;
-  double clearance(const Neighbour& n, int g, double reach);
+  // A lower bound on the distance of two neighbours, and a direction [unit vector] from the first to the second in
+  // which they are so far apart; zero where none is known.
+  struct Apart {
+    double distance;
+    Vec3 direction;
+  };
+  Apart clearance(const Neighbour& n, int g, double reach);
+  Apart exact_distance(const Neighbour& n, int g);
   void find_room(DisjointSets& sets);
-  double approach(int g, const Neighbour& n) const;
-  bool may_meet(int g, Neighbour& n, double reach, double approach);
+  double approach(int g, const Neighbour& n, const Vec3& direction) const;
+  Vec3 place_in(int g, double part) const;
+  // What a pair may approach by, of how far its geometries move together [m] and of approach().
+  struct Moves {
+    double together, share;
+  };
+  bool may_meet(int g, Neighbour& n, const Moves& moves);
   // Each pair of which one moves is looked at from one side: the moving one, of two the first.
   bool looks_at(int g, const Neighbour& n) const { return n.geometry > g || !is_active_[n.geometry]; }
   void join(int g, const Neighbour& n, DisjointSets& sets);
@@ -114,12 +144,15 @@ class IslandGraph {
   std::vector<std::vector<Neighbour>> neighbours_;
   std::vector<Neighbour> before_;  // workspace of renew: the neighbours so far
   MatX straight_;                  // (4, geometries) along and besides; NaN: not known
+  std::vector<std::vector<Bend>> bends_;
+  std::vector<char> foretold_;     // whether these are those of the next interval already
+  std::vector<double> intervals_;  // for how many of them the margin of a ball is
   // Neighbours that could have met by how far each moves, but not by how far they move against each other, if this
   // stays below their distance at the start of the interval under way.
   struct Approaching {
     int geometry;
     Neighbour neighbour;
-    double distance;
+    Apart apart;
   };
   std::vector<Approaching> approaching_;
   bool placed_ = false;

@@ -366,8 +366,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     // A step that was solved from other start values after a call has failed counts, but it is the last one.
     if (user_function_failed(start + interval.done)) return false;
   }
-  flew_ = options_.stages == 1 && only_free;
-  flew_once_ = flew_ && parts == 1 && state_.impacts == impacts;
+  flew_ = only_free;
+  flew_once_ = flew_ && options_.stages == 1 && parts == 1 && state_.impacts == impacts;
   if (spent > 0.0 || state_.dense.located.excess > 0.0) state_.dense.located.add(spent, allowed_cost(length));
   if (!interval.checked && !in_range(state_.q, state_.p))
     return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");

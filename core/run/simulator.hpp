@@ -124,8 +124,8 @@ class Simulator {
   void take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time);
   // Bounds of the motion are kept even where no guard needs them.
   void follow_motion() { follows_motion_ = true; }
-  // Whether all steps of the last interval were those of the midpoint rule without contacts, and whether it was a
-  // single one, without an impact.
+  // Whether all steps of the last interval were smooth ones without contacts, and whether it was a single one, of the
+  // midpoint rule and without an impact.
   bool flew() const { return flew_; }
   bool flew_once() const { return flew_once_; }
   // One control step, the number `step` of the run, of this length from t [s] on. tau: (nv,) or empty; target: (1,

@@ -8,14 +8,23 @@
 namespace contactvi {
 
 namespace {
+// The N numbers of a circle or a sphere from i on, between two configurations at the fraction x.
+template <int N>
+void interpolate_unit(const VecX& q0, const VecX& q1, double x, int i, VecX& q) {
+  const Eigen::Matrix<double, N, 1> a = q0.segment<N>(i), b = q1.segment<N>(i);
+  const double share = a.dot(b) < 0.0 ? -x : x;
+  q.segment<N>(i) = ((1.0 - x) * a + share * b).normalized();
+}
+
 // Between two configurations, at the fraction x: along each coordinate, normalised on circles and spheres.
 void interpolate(const Tree& tree, const VecX& q0, const VecX& q1, double x, VecX& q) {
   q = (1.0 - x) * q0 + x * q1;
   for (const Joint& joint : tree.joints) {
     if (joint.nq == joint.nv) continue;
-    if (q0.segment(joint.iq, joint.nq).dot(q1.segment(joint.iq, joint.nq)) < 0.0)
-      q.segment(joint.iq, joint.nq) = (1.0 - x) * q0.segment(joint.iq, joint.nq) - x * q1.segment(joint.iq, joint.nq);
-    q.segment(joint.iq, joint.nq).normalize();
+    if (joint.nq == 4)
+      interpolate_unit<4>(q0, q1, x, joint.iq, q);
+    else
+      interpolate_unit<2>(q0, q1, x, joint.iq, q);
   }
 }
 }  // namespace

@@ -253,6 +253,52 @@ def test_what_falls_together_flies_apart(shape):
     assert np.abs(ends[0] - ends[1]).max() <= 1e-11
 
 
+@pytest.mark.parametrize("shape", ["sphere", "box"])
+def test_a_ball_that_comes_back_from_a_wall_meets_who_follows_it(shape):
+    """Both impacts lie in one step: the path from the wall back is not the one that the step began with."""
+    scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
+    add = (
+        scene.add_sphere if shape == "sphere" else lambda name, r, **a: scene.add_box(name, (2 * r, 2 * r, 2 * r), **a)
+    )
+    add("first", 0.05, placement=at(0.25, 0.0, 0.0))
+    add("second", 0.05, placement=at(0.75, 0.0, 0.0))
+    scene.add_halfspace((1.0, 0.0, 0.0), 0.0, name="wall")
+    scene.set_contact(restitution=1.0, friction=0.0)
+    v = np.zeros(12)
+    v[[0, 6]] = -4.0, -2.0
+    # The first is at the wall after 0.05 s, at x = 0.05; they meet in the middle of the gap of 0.5 m that is left then,
+    # where the second, at x = 0.65, closes with 6 m/s: 0.05 + 0.5 / 6 s.
+    one, simulator = run(scene, v, 0.2, 1)
+    np.testing.assert_allclose(one["events"]["time"], [0.05, 0.05 + 0.5 / 6.0], rtol=0, atol=1e-12)
+    assert simulator.islands == 1
+    two, _ = run(scene, v, 0.2, 1, islands=False)
+    np.testing.assert_allclose(one["q"][-1], two["q"][-1], rtol=0, atol=1e-13)
+
+
+def test_who_passes_another_one_by_stays_alone():
+    """They move by more than their distance, and not towards each other."""
+    scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
+    scene.add_sphere("a", 0.05, placement=at(0.0, 0.0, 0.0))
+    scene.add_sphere("b", 0.05, placement=at(0.0, 0.11, 0.0))
+    scene.set_contact(restitution=1.0, friction=0.0)
+    v = np.zeros(12)
+    v[[0, 6]] = 1.0, -1.0
+    _, simulator = run(scene, v, 0.05, 1)
+    assert simulator.islands == 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_islands_of_a_gas_are_few_bodies_each(seed):
+    """A tenth of the room is filled, and a step moves a body by a fifth of its radius: who meets nobody is alone."""
+    scene, v, names = gas(300, seed, density=0.1)
+    simulator = engine.simulator(scene.core(), 1e-2)
+    assert simulator.reset(scene.neutral(), v)["code"] == 0
+    for _ in range(30):
+        events = simulator.advance(1)["events"]
+        impacts = 0 if events is None else len(events["time"])
+        assert simulator.islands >= len(names) - 3 * impacts - 10
+
+
 def test_a_snapshot_of_a_crowd_in_flight_goes_on_to_the_bit():
     """Boxes that tumble close to each other: which of them are joined depends on how they have turned before."""
     scene = cvi.Scene()
