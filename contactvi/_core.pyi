@@ -1102,9 +1102,9 @@ def none_deeper(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(N
     Whether a pair is seen to be no deeper than the points of these features without its distance, and by how much its distance is larger than their least gap.
     """
 
-def walk_hull(vertices: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], edges: Sequence[Sequence[int]], roughness: float, directions: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], depth: float) -> list[tuple[int, list[int] | None]]:
+def far_vertices(vertices: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], directions: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], depth: float) -> list[tuple[int, list[int]]]:
     """
-    Of a hull with many vertices, (n, 3), and edges between these, (m, 2): per unit direction, (k, 3), the farthest vertex, -1 where it is not known, and a list of the vertices that miss it by at most a depth [m], among others, or None. Empty for few vertices.
+    Of many vertices, (n, 3): per unit direction, (k, 3), the farthest one, the first of several, and those that miss it by at most a depth [m]. Empty for few vertices.
     """
 
 def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4, enough: float = float('inf')) -> tuple[float, float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:

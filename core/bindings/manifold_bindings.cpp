@@ -6,6 +6,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <limits>
 #include <tuple>
 #include <utility>
@@ -17,7 +18,6 @@
 #include "geometry/candidates.hpp"
 #include "geometry/distance_bounds.hpp"
 #include "geometry/guard.hpp"
-#include "geometry/hull_walk.hpp"
 #include "geometry/manifold.hpp"
 
 namespace nb = nanobind;
@@ -131,23 +131,24 @@ std::pair<bool, double> none_deeper(const Scene& s, const VecX& q, int pair, con
   return {known, touch.witness.gap - least};
 }
 
-// Per direction, (k, 3), the farthest vertex, -1: not known, and the vertices that miss it by at most the depth, if
-// they are known.
-std::vector<std::pair<int, std::optional<std::vector<int>>>> walk_hull(const std::vector<Vec3>& vertices,
-                                                                       const std::vector<std::array<int, 2>>& ends,
-                                                                       double roughness, const Rows& directions,
-                                                                       double depth) {
+// Per direction, (k, 3), the farthest vertex, and the vertices that miss it by at most the depth.
+std::vector<std::pair<int, std::vector<int>>> far_vertices(const std::vector<Vec3>& vertices, const Rows& directions,
+                                                           double depth) {
   if (directions.cols() != 3) throw Error("expected shape (k, 3)");
-  const HullWalk walk(vertices, ends, roughness);
-  if (walk.none()) return {};
-  std::vector<std::pair<int, std::optional<std::vector<int>>>> found;
+  const VertexTree tree(vertices);
+  if (tree.none()) return {};
+  std::vector<std::pair<int, std::vector<int>>> found;
   for (Eigen::Index k = 0; k < directions.rows(); ++k) {
     const Vec3 m = directions.row(k);
-    const int farthest = walk.farthest(vertices, m);
-    HullWalk::List list;
-    found.emplace_back(farthest, std::nullopt);
-    if (farthest >= 0 && walk.list(vertices, m, farthest, m.dot(vertices[farthest]) - depth, list))
-      found.back().second.emplace(list.vertices.begin(), list.vertices.begin() + list.count);
+    const int farthest = tree.farthest(m);
+    const double least = m.dot(vertices[farthest]) - depth;
+    found.emplace_back(farthest, std::vector<int>());
+    tree.each(
+        m, [&](const Vec3& center, double radius) { return m.dot(center) + radius >= least; },
+        [&](int i) {
+          if (m.dot(vertices[i]) >= least) found.back().second.push_back(i);
+        });
+    std::sort(found.back().second.begin(), found.back().second.end());
   }
   return found;
 }
@@ -264,11 +265,10 @@ void expose_manifold(nb::module_& m) {
       "none_deeper", &none_deeper, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
       "Whether a pair is seen to be no deeper than the points of these features without its distance, and by how much "
       "its distance is larger than their least gap.");
-  m.def(
-      "walk_hull", &walk_hull, "vertices"_a, "edges"_a, "roughness"_a, "directions"_a, "depth"_a,
-      "Of a hull with many vertices, (n, 3), and edges between these, (m, 2): per unit direction, (k, 3), the farthest "
-      "vertex, -1 where it is not known, and a list of the vertices that miss it by at most a depth [m], among others, "
-      "or None. Empty for few vertices.");
+  m.def("far_vertices", &far_vertices, "vertices"_a, "directions"_a, "depth"_a,
+        "Of many vertices, (n, 3): per unit direction, (k, 3), the farthest one, the first of several, and those that "
+        "miss "
+        "it by at most a depth [m]. Empty for few vertices.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
         "enough"_a = std::numeric_limits<double>::infinity(),
         "(least gap over all features but these, slack included; that feature's gap, normal and point). Infinite where "

@@ -1,6 +1,7 @@
 #include "geometry/candidates.hpp"
 
 #include <algorithm>
+#include <limits>
 
 #include "geometry/line_contact.hpp"
 
@@ -27,8 +28,17 @@ Over make_over(const PairView& v, bool on_b) {
   return o;
 }
 
-// Lists the vertices over a face; returns the one that is lowest over its plane.
-int vertices_over(const Over& o, int f, CandidateSink& sink) {
+// Whether a ball reaches over a face, as far as is known quickly; all in the face's frame.
+bool may_be_over(const ShapeFeatures& o, const ShapeFeatures::Face& face, const Vec3& center, double radius) {
+  if (face.count == 0) return outside_of(o, face, center) <= radius + kBorder;
+  for (int k = face.first; k < face.first + face.count; ++k)
+    if (o.side[k].dot(center) - o.side_offset[k] > radius + kBorder) return false;
+  return true;
+}
+
+// Lists the vertices over a face, with a limit that does not fall in their order. Returns the one that is lowest over
+// its plane, if it is wanted.
+int vertices_over(const Over& o, int f, bool wants_lowest, std::vector<int>& near, CandidateSink& sink) {
   const ShapeFeatures::Face& face = o.plane->faces[f];
   const Vec3 n = o.R.transpose() * face.normal;  // in the other's frame
   const double base = face.normal.dot(o.p) - face.offset - o.plane->radius - o.other->radius;
@@ -40,16 +50,24 @@ int vertices_over(const Over& o, int f, CandidateSink& sink) {
     if (outside_of(*o.plane, face, x) > kBorder) return;
     sink.add({feature_number(kind, i, f), gap, o.plane_pose.point(x)});
   };
-  int lowest = -1;
-  HullWalk::List near;
-  if (!o.other->walk.none() && sink.limit < std::numeric_limits<double>::infinity()) {
-    lowest = o.other->walk.farthest(vertices, -n);
-    if (lowest >= 0 && o.other->walk.list(vertices, -n, lowest, base - sink.limit, near)) {
-      for (int k = 0; k < near.count; ++k) look_at(near.vertices[k], n.dot(vertices[near.vertices[k]]) + base);
-      return lowest;
-    }
+  const VertexTree& tree = o.other->tree;
+  if (!tree.none()) {
+    const auto reaches = [&](const Vec3& center, double radius) {
+      return n.dot(center) + base - radius <= sink.limit && may_be_over(*o.plane, face, o.R * center + o.p, radius);
+    };
+    near.clear();
+    tree.each(-n, reaches, [&](int i) {
+      const double gap = n.dot(vertices[i]) + base;
+      if (sink.falls)
+        look_at(i, gap);
+      else if (gap <= sink.limit)
+        near.push_back(i);
+    });
+    std::sort(near.begin(), near.end());
+    for (int i : near) look_at(i, n.dot(vertices[i]) + base);
+    return wants_lowest ? tree.farthest(-n) : -1;
   }
-  lowest = -1;
+  int lowest = -1;
   double least = std::numeric_limits<double>::infinity();
   for (int i = 0; i < static_cast<int>(vertices.size()); ++i) {
     const double gap = n.dot(vertices[i]) + base;
@@ -174,23 +192,23 @@ bool are_apart(const Reach& a, const Reach& b, double far) {
   return (b.middle - a.middle).squaredNorm() > reach * reach;
 }
 
-void edges_across(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {
-  edges.lines_b.clear();
-  edges.reaches_b.clear();
-  for (int j : edges.b) {
-    edges.lines_b.push_back(line_of(*v.b, v.pose_b, j));
-    edges.reaches_b.push_back(reach_of(edges.lines_b.back(), sides.n_W));
+void edges_across(const PairView& v, const Sides& sides, bool upcoming, NearFeatures& near, CandidateSink& sink) {
+  near.lines_b.clear();
+  near.reaches_b.clear();
+  for (int j : near.b) {
+    near.lines_b.push_back(line_of(*v.b, v.pose_b, j));
+    near.reaches_b.push_back(reach_of(near.lines_b.back(), sides.n_W));
   }
   // Of two capsules the nearest points are known without their crossing.
   const bool cross = !v.a->faces.empty() || !v.b->faces.empty();
   Crossing c;
-  for (int i : edges.a) {
+  for (int i : near.a) {
     const Line a = line_of(*v.a, v.pose_a, i);
     const Reach reach_a = reach_of(a, sides.n_W);
-    for (std::size_t k = 0; k < edges.b.size(); ++k) {
-      const Line& b = edges.lines_b[k];
-      const int j = edges.b[k];
-      if (are_apart(reach_a, edges.reaches_b[k], std::max(0.0, sink.limit) + a.radius + b.radius + kBorder)) continue;
+    for (std::size_t k = 0; k < near.b.size(); ++k) {
+      const Line& b = near.lines_b[k];
+      const int j = near.b[k];
+      if (are_apart(reach_a, near.reaches_b[k], std::max(0.0, sink.limit) + a.radius + b.radius + kBorder)) continue;
       list_line_ends(v, i, a, j, b, upcoming, sink);
       if (!cross || are_flat(a, b) || !cross_lines(a, b, sides.n_W, kBorder, c)) continue;
       const bool over = c.beyond <= kBorder;
@@ -243,22 +261,23 @@ bool cross_lines(const Line& a, const Line& b, const Vec3& n, double border, Cro
   return true;
 }
 
-void list_candidates(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {
+void list_candidates(const PairView& v, const Sides& sides, bool upcoming, NearFeatures& near, CandidateSink& sink) {
+  const bool crosses = !v.a->edges.empty() && !v.b->edges.empty();
   int lowest[2] = {-1, -1};  // of a over b's face, of b over a's
   for (bool on_b : {true, false}) {
     const int face = on_b ? sides.a : sides.b;
     if (face < 0) continue;
     const Over o = make_over(v, on_b);
     for (int f : o.plane->plates[o.plane->faces[face].plate]) {
-      const int i = vertices_over(o, f, sink);
+      const int i = vertices_over(o, f, crosses && f == face, near.vertices, sink);
       if (f == face) lowest[on_b] = i;
       rims_over(o, f, upcoming, sink);
     }
   }
-  if (v.a->edges.empty() || v.b->edges.empty()) return;
-  edges_near(*v.a, sides.a, lowest[0], edges.a);
-  edges_near(*v.b, sides.b, lowest[1], edges.b);
-  edges_across(v, sides, upcoming, edges, sink);
+  if (!crosses) return;
+  edges_near(*v.a, sides.a, lowest[0], near.a);
+  edges_near(*v.b, sides.b, lowest[1], near.b);
+  edges_across(v, sides, upcoming, near, sink);
 }
 
 }  // namespace contactvi

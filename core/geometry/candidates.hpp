@@ -20,8 +20,10 @@ struct Reach {
   double half, height, rise;
 };
 
-struct EdgeLists {
-  std::vector<int> a, b;
+// Workspace.
+struct NearFeatures {
+  std::vector<int> vertices;  // over a face
+  std::vector<int> a, b;      // edges
   std::vector<Line> lines_b;
   std::vector<Reach> reaches_b;
 };
@@ -35,7 +37,7 @@ constexpr double kFacing = 1e-2;
 
 // upcoming: lists also features that are not near yet but may touch next: edges that cross in the view along n_W, with
 // the height of one over the other as their gap, and flat rims by their lowest point instead of by material points.
-void list_candidates(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink);
+void list_candidates(const PairView& v, const Sides& sides, bool upcoming, NearFeatures& near, CandidateSink& sink);
 
 // R sin(tilt) [m] of a rim against a plane of the normal n, both in one frame.
 inline double rim_tilt(double radius, const Vec3& axis, const Vec3& n) { return radius * axis.cross(n).norm(); }

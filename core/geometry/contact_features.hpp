@@ -85,7 +85,8 @@ constexpr double kBorder = 3e-9;
 class CandidateSink {
  public:
   virtual void add(const Candidate& candidate) = 0;
-  double limit = 0;  // candidates with a larger gap are not listed [m]
+  double limit = 0;    // candidates with a larger gap are not listed [m]
+  bool falls = false;  // the limit, to the gap of what was added
 
  protected:
   ~CandidateSink() = default;

@@ -249,6 +249,7 @@ class Manifolds::Least final : public CandidateSink {
         double enough)
       : owner_(owner), at_(at), persistent_(persistent), count_(count), enough_(enough) {
     limit = enough;
+    falls = true;
     supported_ = count >= std::min(owner.are_solids(pair) ? 2 : 3, owner.max_points_);
   }
 
@@ -261,7 +262,7 @@ class Manifolds::Least final : public CandidateSink {
       if (rim >= 0 && feature_rim(h.feature) == rim && feature_on_b(h.feature) == feature_on_b(c.feature))
         slack = kNextGapSlack;
     }
-    if (c.gap + slack >= limit) return;
+    if (c.gap + slack > limit || (c.gap + slack == limit && !is_before(c))) return;
     for (int i = 0; i < count_; ++i) {
       if (persistent_[i]->kind == PointKind::kLimit) continue;
       if (slack == 0.0 && is_same_place(*persistent_[i], c)) return;
@@ -274,6 +275,11 @@ class Manifolds::Least final : public CandidateSink {
   Candidate best{};
 
  private:
+  // Of vertices over one face that are equally near the first one counts, whatever the order in which they come.
+  bool is_before(const Candidate& c) const {
+    return limit < enough_ && feature_kind(c.feature) == feature_kind(best.feature) &&
+           feature_j(c.feature) == feature_j(best.feature) && c.feature < best.feature;
+  }
   // Two features may name one point: a corner on a corner.
   bool is_same_place(const ContactPoint& h, const Candidate& c) const {
     if (h.kind == PointKind::kWitness) return false;
@@ -299,6 +305,7 @@ class Manifolds::OfUnion final : public CandidateSink {
           CandidateSink& sink)
       : owner_(owner), pair_(pair), at_(at), v_(v), n_W_(n_W), sink_(sink), any_(owner.seams_.any(pair)) {
     limit = sink.limit;
+    falls = sink.falls;
   }
 
   void add(const Candidate& c) override {
@@ -393,9 +400,9 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
       const Sides sides = sides_of_witness(v, witness);
       n = sides.n_W;
       OfUnion of_union(*this, pair, at, v, n, sink);
-      list_candidates(v, sides, false, edges_, of_union);
+      list_candidates(v, sides, false, near_, of_union);
       // A shape that lies across all of another one touches it at such crossings alone.
-      if (found_.empty() && seams_.any(pair)) list_candidates(v, sides, false, edges_, sink);
+      if (found_.empty() && seams_.any(pair)) list_candidates(v, sides, false, near_, sink);
     }
     // A feature along whose normal the shapes overlap much more lies to the side: they part along the witness's.
     const double deepest = kOverlap * std::min(0.0, witness.gap) - kSameOverlap;
@@ -445,7 +452,7 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
   const Sides sides = known != nullptr ? sides_of_point(v, *known, at) : sides_of_witness(v, *witness);
   Least least(*this, pair, at, persistent, count, enough);
   OfUnion of_union(*this, pair, at, v, sides.n_W, least);
-  list_candidates(v, sides, true, edges_, of_union);
+  list_candidates(v, sides, true, near_, of_union);
   double value = least.value();
   if (value < kInfinity) evaluate(make_point(pair, v, least.best, sides.n_W), at, contact);
   for (int i = 0; i < count; ++i) {

@@ -220,7 +220,7 @@ class Manifolds {
   // Workspace, which grows to the largest manifold found.
   std::vector<Candidate> found_;
   Selection selection_;
-  EdgeLists edges_;
+  NearFeatures near_;
   std::vector<Vec3> over_surface_;
   std::vector<SurfaceFoot> feet_;
   // Of persistent points on surfaces where a ball may have several feet: where their feet are, in the surface's frame.

@@ -442,8 +442,8 @@ class Refinement {
     if (sides.a < 0 && sides.b < 0) return false;
     const PairView v{a_.shape, b_.shape, *a_.pose, *b_.pose, contact_->body_a, contact_->body_b};
     Lowest lowest(contact_->gap + kNoise);
-    EdgeLists edges;
-    list_candidates(v, sides, false, edges, lowest);
+    NearFeatures near;
+    list_candidates(v, sides, false, near, lowest);
     for (int k = 0; k < lowest.count(); ++k)
       if (try_candidate(lowest[k])) return true;
     return false;

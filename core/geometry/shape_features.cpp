@@ -17,9 +17,6 @@ namespace {
 // Neighbouring faces at a smaller angle [rad] belong to one flat side.
 constexpr double kPlateAngle = 1e-4;
 
-// Of the size of a hull: flatter faces are planes but for rounding.
-constexpr double kRounding = 1e-13;
-
 // The largest number of edges and of corners of faces that a feature number (contact_features.hpp) can hold.
 constexpr std::size_t kMostEdges = 1u << 19;
 
@@ -128,47 +125,13 @@ const Hull& hull_of(const coal::CollisionGeometry& shape) {
   return *hull;
 }
 
-// The edges of the triangles, for a walk over the vertices of faces that are flat but for their roughness: those of the
-// faces alone may leave a vertex without a farther neighbour that is not the farthest one. A point that is no vertex is
-// joined with its nearest neighbour.
-void add_ends_of_triangles(const ShapeFeatures& o, const Points& points, const std::vector<coal::Triangle>& triangles,
-                           std::vector<std::array<int, 2>>& ends) {
-  std::vector<int> vertex(points.size(), -1);
-  std::size_t next = 0;
-  for (std::size_t i = 0; i < points.size() && next < o.vertices.size(); ++i)
-    if (points[i] == o.vertices[next]) vertex[i] = static_cast<int>(next++);
-  for (bool found = true; found;) {
-    found = false;
-    const std::vector<int> before = vertex;
-    std::vector<double> least(points.size(), std::numeric_limits<double>::infinity());
-    for (const coal::Triangle& t : triangles)
-      for (int k = 0; k < 6; ++k) {
-        const auto i = t[k % 3], j = t[(k + (k < 3 ? 1 : 2)) % 3];
-        const double square = (points[i] - points[j]).squaredNorm();
-        if (before[i] >= 0 || before[j] < 0 || !(square < least[i])) continue;
-        least[i] = square;
-        vertex[i] = before[j];
-        found = true;
-      }
-  }
-  for (const coal::Triangle& t : triangles)
-    for (int k = 0; k < 3; ++k) {
-      const int i = vertex[t[k]], j = vertex[t[(k + 1) % 3]];
-      if (i < j && i >= 0) ends.push_back({i, j});
-    }
-}
-
 void add_hull(ShapeFeatures& o, const Geometry& g, const Hull& hull, bool meets_ellipsoid) {
   Points points;
   points.reserve(hull.num_points);
   for (unsigned i = 0; i < hull.num_points; ++i) points.push_back(to_body(g, (*hull.points)[i]));
   const HullFaces faces(points, *hull.polygons);
   add_polygons(o, points, faces.merged(o.roughness));
-  std::vector<std::array<int, 2>> ends;
-  ends.reserve(o.edges.size());
-  for (const ShapeFeatures::Edge& e : o.edges) ends.push_back({e.v0, e.v1});
-  if (o.roughness > kRounding * g.radius) add_ends_of_triangles(o, points, *hull.polygons, ends);
-  o.walk = HullWalk(o.vertices, ends, o.roughness);
+  o.tree = VertexTree(o.vertices);
   if (!meets_ellipsoid) return;
   auto triangles = std::make_shared<ShapeFeatures>();
   triangles->radius = o.radius;
@@ -266,8 +229,8 @@ void add_shape_features(Scene& scene) {
 }
 
 int farthest_vertex(const ShapeFeatures& o, const Vec3& m) {
-  int best = o.walk.none() ? -1 : o.walk.farthest(o.vertices, m);
-  if (best >= 0) return best;
+  if (!o.tree.none()) return o.tree.farthest(m);
+  int best = -1;
   double most = -std::numeric_limits<double>::infinity();
   for (int i = 0; i < static_cast<int>(o.vertices.size()); ++i) {
     const double along = m.dot(o.vertices[i]);

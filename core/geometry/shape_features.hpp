@@ -19,7 +19,7 @@
 #include <vector>
 
 #include "geometry/ellipsoid.hpp"
-#include "geometry/hull_walk.hpp"
+#include "geometry/vertex_tree.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -62,7 +62,7 @@ struct ShapeFeatures {
   std::vector<Vec3> side;  // outward normal of the polygon's side there, in its plane
   std::vector<double> side_offset;
   std::vector<std::vector<int>> vertex_edges, vertex_faces;
-  HullWalk walk;                         // of a hull with many vertices
+  VertexTree tree;                       // of a hull with many vertices
   std::vector<std::vector<int>> plates;  // faces that meet at less than 1e-4 rad: together one flat side
 
   bool is_unbounded() const { return !faces.empty() && std::isinf(faces[0].radius); }
