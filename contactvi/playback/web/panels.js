@@ -155,7 +155,7 @@ class Panels {
       pairs.style.display = signs.shown.forces && pairs.children.length ? "" : "none";
       points.style.display = signs.shown.points && points.children.length ? "" : "none";
       box.style.display = row.style.display && points.style.display ? "none" : "";
-      if (this.measure) { this.measure.textContent = "force " + scaleWords(signs.perNewton * signs.scale, this.player.stage.view.size); }
+      if (this.measure) { this.measure.textContent = "force " + scaleWords(signs.perNewton * signs.scale, this.player.stage.view.arrow); }
     };
     this.legendShown();
     element("now").style.display = this.events.strongest > 0 ? "" : "none";
@@ -371,9 +371,9 @@ class EventPanel {
 
 function css(color) { return "#" + color.toString(16).padStart(6, "0"); }
 
-// "5 N = 12 cm" for a scale [m/N]: a round force whose arrow has about the full length for bodies of this size [m].
-function scaleWords(perNewton, size) {
-  const newtons = roundNumber(ARROW_LENGTH * size / perNewton), length = newtons * perNewton;
+// "5 N = 12 cm" for a scale [m/N]: a round force whose arrow has about the full length [m].
+function scaleWords(perNewton, arrow) {
+  const newtons = roundNumber(arrow / perNewton), length = newtons * perNewton;
   const [unit, word] = length >= 1 ? [1, "m"] : length >= 0.01 ? [100, "cm"] : [1000, "mm"];
   const force = newtons >= 1e5 || newtons < 1e-3 ? newtons.toExponential(0) : newtons;
   return `${force} N = ${Number((unit * length).toPrecision(2))} ${word}`;
