@@ -163,7 +163,7 @@ def _kind(file: Path, at: float | None) -> str:
             got=short(file.name), remedy=f"Name it {file.stem}{'.gif' if at is None and kind in _FILMS else '.png'}",
         )  # fmt: skip
     if (at is None) == (kind == ".png"):
-        remedy = "Give at=, the time of the picture" if at is None else "Leave at out, or write a .png"
+        remedy = "Use at=0.5, or another time in seconds" if at is None else "Leave at out, or write a .png"
         raise InputError(
             "Time of a picture", name="at", expected="at for a .png, and for nothing else",
             got=f"at={at} for {kind}", remedy=remedy,

@@ -139,7 +139,7 @@ def plot_forces(
     has empty panels. The figure is one as that of `plot`.
     """
     _check(traj)
-    check_choice("by", by, ("pair", "body", "joint"), "forces")
+    check_choice("by", by, ("pair", "body", "joint"), "Unknown sum of forces")
     if by == "joint" and pairs is not None:
         raise InputError(
             "Pairs of a figure of joints", name="pairs", expected='None with by="joint"', got=short(pairs),

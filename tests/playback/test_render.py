@@ -39,7 +39,7 @@ def program(folder: Path, name: str, text: str) -> None:
     [
         ("a.avi", {}, r"\.gif, \.mp4, \.png"),
         ("a", {}, "Name it a.gif"),
-        ("a.png", {}, "Give at="),
+        ("a.png", {}, "Use at=0.5"),
         ("a.gif", {"at": 0.5}, "Leave at out"),
         ("a.png", {"at": 1.5}, "a time of the run, 0 to 1 s"),
         ("a.png", {"at": "soon"}, "at is not usable"),

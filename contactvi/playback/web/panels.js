@@ -141,7 +141,7 @@ class Panels {
     for (const {name, color} of source.fullForce === null ? [] : source.pairs.slice(0, NAMED)) {
       const entry = make("span", "", pairs);
       make("i", "", entry, {className: "arrow"}).style.background = color;
-      make("span", name, entry, {className: "pair", title: name});
+      make("span", shortened(name), entry, {className: "pair", title: name});
     }
     if (source.pairs.length > NAMED) { make("span", `${source.pairs.length - NAMED} more pairs`, pairs); }
     const present = source.modes.map(mode => MODES[mode]);
@@ -367,6 +367,12 @@ class EventPanel {
   mark() {
     for (const [place, row] of this.shown || []) { row.classList.toggle("on", place === this.now); }
   }
+}
+
+// The name of a pair, long names without their middles: names often begin alike.
+function shortened(pair) {
+  const part = name => name.length > 16 ? name.slice(0, 7) + "\u2026" + name.slice(-8) : name;
+  return pair.length > 32 ? pair.split(" | ").map(part).join(" | ") : pair;
 }
 
 function css(color) { return "#" + color.toString(16).padStart(6, "0"); }

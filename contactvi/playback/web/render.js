@@ -23,11 +23,15 @@ async function draw() {
   signs.shown.impacts = job.forces;
   stage.resize();
   orbit.choose(run.camera);
+  let sent = Promise.resolve();  // a picture is drawn while the one before is on its way
   for (const time of job.times) {
     player.seek(time);
     stage.render();
-    await fetch("frame", {method: "POST", body: finished(stage.renderer.domElement)});
+    const pixels = finished(stage.renderer.domElement);
+    await sent;
+    sent = fetch("frame", {method: "POST", body: pixels});
   }
+  await sent;
 }
 
 // The pixels of the picture at its own size, four bytes each, with what is written on it.
