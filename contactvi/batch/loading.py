@@ -19,6 +19,10 @@ from contactvi.trajectory.trajectory import Trajectory
 
 RUN_IN_A_FOLDER = "trajectory.npz"
 _EXPECTED = "a run (Trajectory.save, contactvi run), a batch of runs (simulate_batch(path=)) or a scene file (.toml)"
+_SHOWN = {  # what is made of runs and cannot be read back
+    ".html": "a page", ".png": "a picture", ".svg": "a picture", ".gif": "a film", ".mp4": "a film",
+    ".csv": "a table",
+}  # fmt: skip
 _MODELS = {".urdf": "scene.add_urdf(path)", ".xml": "Scene.from_mjcf(path)", ".mjcf": "Scene.from_mjcf(path)"}
 
 
@@ -48,6 +52,11 @@ def load(path: str | os.PathLike[str]) -> Trajectory | StoredBatch | Scene:
     if file.suffix.lower() in _MODELS:
         remedy = f"Add it to a scene: {_MODELS[file.suffix.lower()]}"
         raise SceneError(f"{file.name} is a model", path=file, expected=_EXPECTED, got="a robot model", remedy=remedy)
+    if file.suffix.lower() in _SHOWN:
+        raise SceneError(
+            f"{file.name} cannot be read back", path=file, expected=_EXPECTED, got=_SHOWN[file.suffix.lower()],
+            remedy=f"Name the file of its run, {RUN_IN_A_FOLDER} in a folder of contactvi run",
+        )  # fmt: skip
     return load_batch(file) if _format_of(file) == batches.FORMAT else Trajectory.load(file)
 
 

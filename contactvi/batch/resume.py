@@ -64,8 +64,10 @@ class Resumed:
         if not path.is_file() or overwrite or self.finished is not None:
             return
         raise OverwriteError(
-            f"There is a file {path}", path=path, expected="this batch, or a name that is free",
-            got="a file of something else", remedy="Give another path, or overwrite=True, which replaces the file",
+            f"There is a file {path}", path=path, expected="this batch, begun with resume=True, or a name that is free",
+            got="a batch of other starts, scene or options, or one made without resume=True" if _is_batch(path)
+            else "a file of something else",
+            remedy="Give another path, or overwrite=True, which replaces the file",
         )  # fmt: skip
 
     @property
@@ -103,6 +105,15 @@ class Resumed:
                 found.append((int(ends[0]), int(ends[1]), batch))
         found.sort(key=lambda part: part[:2])
         return [part for k, part in enumerate(found) if k == 0 or part[0] >= found[k - 1][1]]
+
+
+def _is_batch(path: Path) -> bool:
+    """Return whether a file is a batch of runs."""
+    try:
+        load_batch(path)
+    except SceneError:
+        return False
+    return True
 
 
 def _with_key(path: Path, key: str) -> StoredBatch | None:

@@ -55,6 +55,6 @@ def make_folder(folder: Path, names: Sequence[str] = (), force: bool = True) -> 
             f"Cannot make the folder {folder}",
             name="output",
             expected="a folder that can be written",
-            got=error.strerror,
+            got="a file of this name" if folder.exists() else error.strerror,
             remedy="Choose another with -o",
         ) from error

@@ -109,6 +109,13 @@ def render(
     end: Annotated[float | None, typer.Option(help="Time at which it ends.")] = None,
     forces: Annotated[bool, typer.Option("--forces/--no-forces", help="Arrows of forces and impulses.")] = True,
     labels: Annotated[bool, typer.Option("--labels", help="Names of the bodies.")] = False,
+    ground: Annotated[
+        bool | None,
+        typer.Option("--ground/--no-ground", help="Ground and walls; a transparent .png has only the shadows on them."),
+    ] = None,
+    force_scale: Annotated[
+        float | None, typer.Option(help="Newtons whose arrow is a metre long, to compare pictures.")
+    ] = None,
     transparent: Annotated[bool, typer.Option("--transparent", help="A .png without a background.")] = False,
     dpi: Annotated[float | None, typer.Option(help="Pixels per inch that a .png says it has.")] = None,
     force: Force = False,
@@ -130,6 +137,8 @@ def render(
         end=end,
         forces=forces,
         labels=labels,
+        ground=ground,
+        force_scale=force_scale,
         transparent=transparent,
         dpi=dpi,
         overwrite=force,

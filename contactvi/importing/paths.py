@@ -107,6 +107,8 @@ def check_is_file(found: Path, text: str) -> None:
     if found.is_dir():
         inside = sorted(p.name for p in found.iterdir() if p.suffix in (".urdf", ".xml", ".toml"))
         hint = f"Files in it: {', '.join(inside[:8])}" if inside else "Name a file in it"
+        if (found / "trajectory.npz").is_file():
+            hint = f"It has a stored run: contactvi play {text} shows it, cvi.load reads it"
         raise SceneError("Not a file", path=found, expected="a file", got=f"the folder {text}", remedy=hint)
     if found.exists() and not found.is_file():
         raise SceneError(

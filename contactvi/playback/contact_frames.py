@@ -1,7 +1,8 @@
 """Contact points in a playback: where they are at every frame, what they do and with which force.
 
-A frame has the contacts of the step around it, one row per point. `next` names the same point of a pair in the next
-frame, so that between frames it moves; other points stay until the next frame. World frame, run time.
+A frame has the contacts of the step around it, one row per point. The log has where a point is at the end of a step;
+within it the point moves there from where it was at the end of the step before. `next` names the same point of a pair
+in the next frame, so that between frames it moves; other points stay until the next frame. World frame, run time.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ def contact_frames(run: Run, times: Array, size: float) -> ContactFrames | None:
     return ContactFrames(
         times=times,
         first=np.searchsorted(frame, np.arange(len(times) + 1)),
-        point=log.position[rows[which]],
+        point=_points(log, rows, key, which, times[frame]),
         force=np.array([sides[int(k)] for k in pair])[:, None] * force,
         mode=mode,
         pair=pair,
@@ -97,6 +98,25 @@ def _keys(log: ContactLog, rows: Indices) -> Indices:
     """Number the contact points: one number for each point of each pair."""
     points = np.column_stack([log.array("index")[rows], log.array("point")[rows]])
     return np.unique(points, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def _points(log: ContactLog, rows: Indices, key: Indices, which: Indices, times: Array) -> Array:
+    """Return where the points are at times [s] within their steps, (n, 3); which (n,) are places in rows and key.
+
+    In the first step of a contact a point moves as in the second one, where there is one.
+    """
+    order = np.lexsort((log.t[rows], key))
+    mine, t, end, last = key[order], log.t[rows][order], log.end[rows][order], log.position[rows][order]
+    slack = 1e-9 * max(1.0, float(np.abs(end).max()))
+    goes_on = np.flatnonzero((mine[1:] == mine[:-1]) & (t[1:] <= end[:-1] + slack)) + 1
+    sorted_start = last.copy()
+    rate = (last[goes_on] - last[goes_on - 1]) / (end - t)[goes_on, None]
+    sorted_start[goes_on - 1] = last[goes_on - 1] - rate * (end - t)[goes_on - 1, None]
+    sorted_start[goes_on] = last[goes_on - 1]  # after the line before: those that go on begin where they were
+    start = np.empty_like(sorted_start)
+    start[order] = sorted_start
+    share = np.clip((times - log.t[rows[which]]) / log.h[rows[which]], 0.0, 1.0)[:, None]
+    return np.asarray((1.0 - share) * start[which] + share * log.position[rows[which]])
 
 
 def _with_force(log: ContactLog, rows: Indices, key: Indices) -> tuple[Indices, NDArray[np.bool_]]:

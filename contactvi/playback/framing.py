@@ -6,7 +6,7 @@ in the middle half of the picture: the outline is continued beyond it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ class View:
         size: of the bodies [m], for arrows.
         direction: unit vector to the camera that sees most.
         outline: outermost points of all that is shown and of the room around the contacts [m], (k, 3).
+        middle: mean of the contact points [m], (3,), which is in the middle half of the picture; None without any.
     """
 
     center: Array
@@ -43,6 +44,13 @@ class View:
     size: float
     direction: Array
     outline: Array
+    middle: Array | None = None
+
+    def around(self, points: Array) -> View:
+        """Return the frame of a picture that shows these points (n, 3) [m], too."""
+        return self if not len(points) else replace(
+            self, outline=np.concatenate([self.outline, _with_room(points, self.middle)])
+        )  # fmt: skip
 
 
 def fit(
@@ -71,12 +79,18 @@ def fit(
     radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
     size = min(radius, 6.0 * max((spot.size for spot in spots if not spot.thin), default=radius))
     direction = open_side(visuals, whole if touches else frames, trees, high - low, center, radius, touches)
-    if touches is not None:
-        # A picture of this outline has the contacts in its middle half, from whatever side it is taken.
-        outline = np.concatenate([outline, (1.0 + _BEYOND) * touches.center() - _BEYOND * outline])
+    middle = None if touches is None else touches.center()
+    if middle is not None:
+        outline = _with_room(outline, middle)
         low, high = outline.min(axis=0), outline.max(axis=0)
         center, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), radius)
-    return View(center=center, radius=radius, size=size, direction=direction, outline=outline)
+    return View(center=center, radius=radius, size=size, direction=direction, outline=outline, middle=middle)
+
+
+def _with_room(points: Array, middle: Array | None) -> Array:
+    """Return points and others beyond the contacts: a picture of all of them has these in its middle half, from
+    whatever side it is taken."""
+    return points if middle is None else np.concatenate([points, (1.0 + _BEYOND) * middle - _BEYOND * points])
 
 
 def _at(frames: Frames, moment: float) -> Frames:

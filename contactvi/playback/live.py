@@ -19,9 +19,10 @@ from contactvi.playback.live_frames import FrameWriter, Stepped
 from contactvi.playback.live_server import FrameServer
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.page import bodies_of, body_name, camera_data, fill_page, line_words, title_of, view_data
+from contactvi.playback.scene_visuals import from_scene
 from contactvi.playback.shapes import shape_data
 from contactvi.playback.touches import Touches
-from contactvi.playback.visuals import Visual, from_scene
+from contactvi.playback.visuals import Visual
 from contactvi.scene.camera import camera_of, check_followed
 from contactvi.scene.scene import Scene
 from contactvi.version import version

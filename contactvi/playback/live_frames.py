@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from contactvi.importing.kinematics import JointChains
 from contactvi.playback.animation import drawn_side, is_free
 from contactvi.playback.arrays import packed
+from contactvi.playback.event_list import happenings
 from contactvi.playback.page import event_data
 from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ChangeLog, ContactLog
@@ -148,7 +149,7 @@ class FrameWriter:
             for log in (recent.events, recent.contact_changes):
                 for index in np.unique(log.array("index")[log.array("kind") == GuardKind.CONTACT]).tolist():
                     self._tone(recent.events.label(int(GuardKind.CONTACT), index))
-            happened = json.dumps(event_data(new, 0.0, self._colors), allow_nan=False)
+            happened = json.dumps(event_data(happenings(new), 0.0, self._colors), allow_nan=False)
         return json.dumps(frame, allow_nan=False), happened, restart
 
     def _contacts(self, log: ContactLog) -> dict[str, Any] | None:

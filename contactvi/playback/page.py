@@ -23,17 +23,18 @@ from numpy.typing import NDArray
 
 from contactvi.errors import InputError
 from contactvi.files import check_free, write_atomic
-from contactvi.inputs import flag, words
+from contactvi.inputs import flag, positive, words
 from contactvi.playback.animation import Frames, Poses, frames_of
 from contactvi.playback.animation import Run as AnimatedRun
 from contactvi.playback.arrays import packed
+from contactvi.playback.arrow_tips import AFTERGLOW, ARROW_LENGTH, LONGEST, arrow_tips
 from contactvi.playback.contact_frames import ContactFrames, contact_frames
-from contactvi.playback.event_list import KINDS, Happened, happenings
+from contactvi.playback.event_list import KINDS, HappeningList, happenings
 from contactvi.playback.framing import View, fit
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.shapes import shape_data
 from contactvi.playback.touches import Touches
-from contactvi.playback.visuals import SPRING_COLOR, STRING_COLOR, Visual
+from contactvi.playback.visuals import NO_SHAPE_COLOR, SPRING_COLOR, STRING_COLOR, Visual
 from contactvi.records.codes import GuardKind
 from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.camera import Camera, camera_of, check_followed
@@ -42,7 +43,8 @@ from contactvi.status import Status
 from contactvi.version import version
 
 Array = NDArray[np.float64]
-_LINES = {SPRING_COLOR: "green: springs", STRING_COLOR: "dark: strings and rods"}
+_LINES = {SPRING_COLOR: "green: springs", STRING_COLOR: "dark: strings and rods",
+          NO_SHAPE_COLOR: "grey: links of models without shapes"}  # fmt: skip
 _SCRIPTS = ("data", "stage", "orbit", "signs", "labels", "player", "panels", "main")
 
 
@@ -74,6 +76,7 @@ def write_html(
     play: bool = True,
     forces: bool = True,
     camera: Any = None,
+    force_scale: float | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the page that plays `run`; return its path.
@@ -86,6 +89,8 @@ def write_html(
         forces: show the forces of persistent contacts as arrows, where the run has recorded some.
         camera: "auto" (the open side), "front", "side", "top", {"eye": [x, y, z], "target": [x, y, z]} [m, world
             frame] or {"follow": "name of a body"}; None: the scene's, else "auto".
+        force_scale: newtons whose arrow is a metre long [N/m], so that arrows of two runs are comparable; none is
+            then cut. None: what suits the forces of the run.
         overwrite: whether a file of this name is replaced.
 
     Raises:
@@ -93,7 +98,7 @@ def write_html(
         InputError: for a camera, title, flag or rate that is not usable, and a path that cannot be written.
     """
     check_free(path, overwrite)
-    text = make_html(run, fps=fps, title=title, play=play, forces=forces, camera=camera)
+    text = make_html(run, fps=fps, title=title, play=play, forces=forces, camera=camera, force_scale=force_scale)
     return write_atomic(path, lambda file: file.write(text.encode("utf-8")), overwrite)
 
 
@@ -110,6 +115,7 @@ def page_data(
     play: bool = True,
     forces: bool = True,
     camera: Any = None,
+    force_scale: float | None = None,
     moment: float | None = None,
 ) -> dict[str, Any]:
     """Return what the page of a run shows; arguments and errors as those of `write_html`.
@@ -131,10 +137,11 @@ def page_data(
             remedy="Give what simulate returns",
         )  # fmt: skip
     title, play, forces = words("title", title), flag("play", play), flag("forces", forces)
+    scale = None if force_scale is None else positive("force_scale", force_scale, "newtons per metre of the arrows")
     chosen = chosen_camera(run, camera)
     title = title or title_of(run.scene)
     moment = None if moment is None else moment - float(run.t[0])
-    return _data(run, frames_of(run, float(fps)), forces, chosen, moment) | {"title": title, "play": play}
+    return _data(run, frames_of(run, float(fps)), forces, chosen, moment, scale) | {"title": title, "play": play}
 
 
 def chosen_camera(run: Run, camera: Any) -> Camera:
@@ -198,20 +205,26 @@ def bodies_of(run: Drawn) -> dict[str, int]:
     return {name: joint for name, joint in names.items() if joint in drawn}
 
 
-def _data(run: Run, frames: Frames, forces: bool, camera: Camera, moment: float | None) -> dict[str, Any]:
-    """Return all that the page shows; moment [s] from the start as of `fit`."""
+def _data(
+    run: Run, frames: Frames, forces: bool, camera: Camera, moment: float | None, force_scale: float | None
+) -> dict[str, Any]:
+    """Return all that the page shows; moment [s] from the start as of `fit`, force_scale [N/m]."""
     touches = Touches.of(run.contacts, float(run.t[0]))
     view = fit(run.visuals, frames, trees_of(run.scene.model), moment, touches)
     joints = {joint: k for k, joint in enumerate(frames.poses)}
     contacts = contact_frames(run, run.t[0] + frames.times, view.size) if forces else None
     colors = pair_colors(run.events, run.contacts)
-    events = event_data(run, float(run.t[0]), colors)
+    found = happenings(run)
+    if moment is not None and forces:
+        view = view.around(arrow_tips(contacts, found, float(run.t[0]), moment, frames, view.size, force_scale))
+    events = event_data(found, float(run.t[0]), colors)
     return {
         "duration": float(frames.times[-1]),
         "times": packed(frames.times, "f8"),
         "bodies": [_body(run, joint, poses) for joint, poses in frames.poses.items()],
         "shapes": [shape_data(visual, k, joints) for k, visual in enumerate(run.visuals)],
         "contacts": None if contacts is None else _contacts(contacts, run, colors),
+        "force_scale": force_scale,
         "events": events,
         "facts": _facts(run, float(frames.times[-1]), events["left_out"]),
         "view": view_data(view),
@@ -253,9 +266,8 @@ def _contacts(found: ContactFrames, run: Run, colors: dict[tuple[str, str], str]
     }
 
 
-def event_data(run: Happened, start: float, colors: Mapping[tuple[str, str], str]) -> dict[str, Any]:
+def event_data(found: HappeningList, start: float, colors: Mapping[tuple[str, str], str]) -> dict[str, Any]:
     """Return impacts and changes of contacts for the page, with times [s] from `start` on, and colours of pairs."""
-    found = happenings(run)
     return {
         "kinds": list(KINDS),
         "names": [list(pair) for pair in found.names],
@@ -302,6 +314,9 @@ def view_data(view: View) -> dict[str, Any]:
         "center": view.center.tolist(),
         "radius": view.radius,
         "size": view.size,
+        "arrow": ARROW_LENGTH * view.size,
+        "longest": LONGEST,
+        "afterglow": AFTERGLOW,
         "direction": view.direction.tolist(),
         "outline": packed(view.outline, "f8"),
     }

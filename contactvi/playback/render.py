@@ -46,6 +46,8 @@ def render(
     end: float | None = None,
     forces: bool = True,
     labels: bool = False,
+    ground: bool | None = None,
+    force_scale: float | None = None,
     transparent: bool = False,
     dpi: float | None = None,
     overwrite: bool = False,
@@ -62,10 +64,16 @@ def render(
         fps: frames per second of a film; a GIF shows frames for whole hundredths of a second.
         speed: of a film, simulated seconds per second.
         start, end: times between which a film goes [s], by default those of the run.
-        forces: show the forces of contacts, in the colours of their pairs and with a scale, and impacts. What bodies
-            hide of an arrow is faint.
-        labels: write the names of the bodies; none covers another one.
-        transparent: a .png without a background; the ground is drawn.
+        forces: show the forces of contacts, in the colours of their pairs, and the impulses of the last quarter of a
+            second, in red, both with a scale. What bodies hide of an arrow is faint. In a .png impulses that would
+            lie over each other are beside each other, with lines to their points.
+        labels: write the names of the bodies; none covers another one. In a .png several impulses have numbers, in
+            the order of time.
+        ground: draw ground and walls, which are halfspaces; False leaves them out. None: they are drawn, but in a
+            transparent .png only the shadows on them.
+        force_scale: newtons whose arrow is a metre long in the scene [N/m], which the scale says: pictures with the
+            same one, and the same camera, are comparable. None: what suits the forces of the run.
+        transparent: a .png without a background.
         dpi: pixels per inch that a .png says it has, by which programs that set text take its size; it changes no
             pixel.
         overwrite: whether a file of this name is replaced.
@@ -87,6 +95,8 @@ def render(
         times = _times(first, last, start, end, fps, speed)
     chosen_camera(run, camera)  # what is wrong with it is told before a browser is looked for
     forces, labels, transparent = flag("forces", forces), flag("labels", labels), flag("transparent", transparent)
+    drawn_ground = _ground(ground, transparent)
+    scale = None if force_scale is None else positive("force_scale", force_scale, "newtons per metre of the arrows")
     if kind != ".png" and (transparent or dpi is not None):
         raise InputError(
             "Option of a picture", name="transparent" if transparent else "dpi", expected="a .png for it",
@@ -97,8 +107,8 @@ def render(
     if kind == ".mp4":
         _find_ffmpeg()
     moment = float(times[0]) if kind == ".png" else None
-    shown = {"forces": forces, "labels": labels, "transparent": transparent}
-    frames = _Frames(run, camera, shown, width, height, speed, moment)
+    shown = {"forces": forces, "labels": labels, "transparent": transparent, "ground": drawn_ground}
+    frames = _Frames(run, camera, shown, width, height, speed, moment, scale)
     if kind == ".png":
         (picture,) = frames.draw(times)
         return write_atomic(file, lambda out: picture.save(out, "PNG", optimize=True, **resolution), overwrite)
@@ -111,9 +121,17 @@ class _Frames:
     """The pictures of a run at given times."""
 
     def __init__(
-        self, run: Run, camera: Any, shown: dict[str, bool], width: int, height: int, speed: float, moment: float | None
+        self,
+        run: Run,
+        camera: Any,
+        shown: dict[str, Any],
+        width: int,
+        height: int,
+        speed: float,
+        moment: float | None,
+        force_scale: float | None,
     ) -> None:
-        self.run, self.camera, self.shown, self.moment = run, camera, shown, moment
+        self.run, self.camera, self.shown, self.moment, self.force_scale = run, camera, shown, moment, force_scale
         self.width, self.height, self.speed = width, height, speed
 
     def draw(self, times: np.ndarray) -> Iterator[Image.Image]:
@@ -129,7 +147,7 @@ class _Frames:
         script = f"const job = {json.dumps(job, allow_nan=False)};\n{web}"
         page = make_html(
             self.run, fps=200.0, play=False, forces=self.shown["forces"], camera=self.camera, script=script,
-            moment=self.moment,
+            moment=self.moment, force_scale=self.force_scale,
         )  # fmt: skip
         size = self.width, self.height
         for data in pictures(page, len(times)):
@@ -145,12 +163,19 @@ def _kind(file: Path, at: float | None) -> str:
             got=short(file.name), remedy=f"Name it {file.stem}{'.gif' if at is None and kind in _FILMS else '.png'}",
         )  # fmt: skip
     if (at is None) == (kind == ".png"):
-        remedy = "Give at=, the time of the picture" if at is None else "Leave at out, or write a .png"
+        remedy = "Use at=0.5, or another time in seconds" if at is None else "Leave at out, or write a .png"
         raise InputError(
             "Time of a picture", name="at", expected="at for a .png, and for nothing else",
             got=f"at={at} for {kind}", remedy=remedy,
         )  # fmt: skip
     return kind
+
+
+def _ground(ground: bool | None, transparent: bool) -> str:
+    """Return what is drawn of halfspaces: "drawn", "shadows" or "none"."""
+    if ground is None:
+        return "shadows" if transparent else "drawn"
+    return "drawn" if flag("ground", ground) else "none"
 
 
 def _times(first: float, last: float, start: Any, end: Any, fps: float, speed: float) -> np.ndarray:

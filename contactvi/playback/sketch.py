@@ -24,9 +24,10 @@ from contactvi.playback.lines import rotate
 from contactvi.playback.live_frames import BodyPoses
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.picture_size import picture_size
+from contactvi.playback.scene_visuals import from_scene
 from contactvi.playback.shapes import color_of, creased
 from contactvi.playback.touches import Touches
-from contactvi.playback.visuals import Visual, from_scene, thin_out
+from contactvi.playback.visuals import Visual, thin_out
 from contactvi.scene.camera import Camera, camera_of
 from contactvi.scene.scene import Scene
 

@@ -1,7 +1,5 @@
 """What a picture of a scene consists of: shapes on joints, as plain data that can be stored.
 
-Taken from the scene's visual model, which pictures what has no mesh by its collision shapes. Halfspaces are taken from
-the collision geometry, so that the viewer can make them as large as the scene needs. Springs and distances are lines.
 Heavy meshes are thinned out by merging the vertices within a cell of a grid (Rossignac, Borrel 1993) into the point
 that is nearest to the planes of their faces (Lindstrom 2000).
 """
@@ -10,26 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi import cache
-from contactvi.elements.forces import PathSpring
 from contactvi.errors import SceneError
 from contactvi.importing.hulls import faces_of
 from contactvi.importing.pictures import Picture, Surface, find_surface
 from contactvi.importing.submeshes import surface_of
 from contactvi.inputs import is_rigid
 
-if TYPE_CHECKING:
-    from contactvi.scene.scene import Scene
-
 Color = tuple[float, float, float, float]
 SPRING_COLOR: Color = (0.12, 0.55, 0.42, 1.0)
 STRING_COLOR: Color = (0.2, 0.22, 0.26, 1.0)
+NO_SHAPE_COLOR: Color = (0.5, 0.55, 0.62, 1.0)  # of links of models without shapes
 MAX_TRIANGLES = 150_000  # of a whole scene: about 4 MB of page, what a browser turns at 60 frames per second
 _UNSET_COLORS = ((0.9, 0.9, 0.9, 1.0), (0.0, 0.0, 0.0, 1.0))  # Pinocchio's own: the file named no colour
 _SIZES: dict[str, tuple[str, ...]] = {
@@ -151,30 +146,8 @@ class Visual:
         )
 
 
-def from_scene(scene: Scene) -> list[Visual]:
-    """Return what is to be drawn of a scene, at most MAX_TRIANGLES triangles."""
-    solids = [s for s in scene.collision_model.geometryObjects if s.name not in scene.surfaces]
-    planes = {solid.name: Picture(solid) for solid in solids if _is_plane(solid)}
-    shown = [picture for picture in scene.pictures() if picture.geometry.name not in planes]
-    found = [visual for picture in (*shown, *planes.values()) if (visual := from_picture(picture)) is not None]
-    return thin_out(found + _lines(scene), MAX_TRIANGLES)
-
-
-def _lines(scene: Scene) -> list[Visual]:
-    """Return the springs and the distances of a scene."""
-    resolved = scene.built().elements
-    springs = [element for element in scene.elements if isinstance(element, PathSpring)]
-    lines = [
-        _line(own.name, found[0], found[1], SPRING_COLOR) for own, found in zip(springs, resolved.springs, strict=True)
-    ]
-    for row in resolved.constraints:
-        if row.kind == "distance":
-            (a, _, point_a), (b, _, point_b) = row.a, row.b
-            lines.append(_line(row.name, (a, b), (point_a, point_b), STRING_COLOR))
-    return lines
-
-
-def _line(name: str, joints: Sequence[int], points: ArrayLike, color: Color) -> Visual:
+def line(name: str, joints: Sequence[int], points: ArrayLike, color: Color) -> Visual:
+    """Return a line through points (n, 3) [m], each in the frame of its joint."""
     vertices = np.asarray(points, dtype=np.float32).reshape(-1, 3)
     carriers = tuple(float(joint) for joint in joints)
     return Visual(name, 0, np.eye(4), "line", carriers, color, vertices, np.zeros((0, 3), np.uint32))
@@ -311,10 +284,6 @@ def _merged(
 
 def _finite(values: Any) -> bool:
     return bool(np.isfinite(values).all())
-
-
-def _is_plane(shape: pin.GeometryObject) -> bool:
-    return type(shape.geometry).__name__ in ("Halfspace", "Plane")
 
 
 def _color(shape: pin.GeometryObject) -> Color | None:

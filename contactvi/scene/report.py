@@ -18,6 +18,8 @@ from contactvi.scene.build import Built
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import JointSettings, JointTable
 
+NO_SHAPES = "no shapes to touch with; where it has no pictures either it is drawn as lines from joint to joint"
+
 
 def scene_report(parts: Sequence[Part], built: Built, table: JointTable, elements: ElementList) -> ImportReport:
     """Return the findings of the parts, joint settings that replace data of files, elements, pairs and shapes."""
@@ -33,6 +35,7 @@ def scene_report(parts: Sequence[Part], built: Built, table: JointTable, element
     report = ImportReport(found, list(built.pairs), list(built.removed))
     for name, settings in joints.items():
         report.notes += [Note(use, "joint", name, text) for use, text in _joint_notes(name, settings, built)]
+    report.notes += [Note("used", "model", part.name, NO_SHAPES) for part in parts if _has_no_shapes(part)]
     report.notes += [_element_note(element) for element in elements.elements]
     lost = "given by a Python function, which is not stored: add it again to run the scene"
     report.notes += [Note("ignored", "element", name, lost) for name in elements.missing]
@@ -57,6 +60,11 @@ def scene_report(parts: Sequence[Part], built: Built, table: JointTable, element
         text = f"edges rounded with radius {_range(rounded)} m inside the shape, for exact normals"
         report.notes.append(Note("changed", "pairs", f"{len(rounded)} of {len(rounding)}", text))
     return report
+
+
+def _has_no_shapes(part: Part) -> bool:
+    """Return whether a model moves and nothing of it can touch."""
+    return part.model.njoints > 1 and not len(part.collision.geometryObjects)
 
 
 def _joint_notes(name: str, own: JointSettings, built: Built) -> Iterator[tuple[Use, str]]:

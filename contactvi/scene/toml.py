@@ -112,6 +112,11 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _refuse_model(file: Path, text: str) -> None:
     """Raise SceneError for a robot model in the place of a scene file; the remedy is the scene file that loads it."""
+    if text.lstrip("\ufeff \t\r\n")[:9].lower() in ("<!doctype", "<html"):
+        raise SceneError(
+            f"{file.name} is a page, not a scene", path=file, expected="a scene file (.toml)", got="HTML",
+            remedy="Open it in a browser, or name the scene file of its run",
+        )  # fmt: skip
     if not text.lstrip("\ufeff \t\r\n").startswith("<") and file.suffix.lower() not in (".urdf", ".mjcf", ".xml"):
         return
     section, got = ("mjcf", "an MJCF") if "<mujoco" in text or file.suffix.lower() == ".mjcf" else ("urdf", "a URDF")

@@ -170,7 +170,8 @@ def made_folder(folder: str | os.PathLike[str]) -> Path:
     except OSError as error:
         raise InputError(
             f"Cannot make the folder {path}", name="folder", expected="a folder that can be written",
-            got=error.strerror or str(error), remedy="Choose another folder",
+            got="a file of this name" if path.is_file() else error.strerror or str(error),
+            remedy="Choose another folder",
         ) from error  # fmt: skip
     return path
 

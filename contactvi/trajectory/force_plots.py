@@ -12,7 +12,16 @@ from contactvi.elements.element import WORLD
 from contactvi.records.codes import CHANGES, GuardKind
 from contactvi.records.contacts import ContactLog
 from contactvi.records.pair_colors import pair_colors
-from contactvi.trajectory.plot_layout import FIRST_COLORS, Instants, RunFigure, draw_curve, legend, panels
+from contactvi.trajectory.plot_layout import (
+    FIRST_COLORS,
+    Instants,
+    RunFigure,
+    draw_curve,
+    draw_curves,
+    legend,
+    panels,
+    zero_line,
+)
 from contactvi.trajectory.tables import friction_ratio
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -53,6 +62,8 @@ def force_figure(
     Args:
         window: the times that are drawn [s]. pairs: of shapes; None: all.
     """
+    if by == "joint":
+        return _joint_figure(traj, window, size)
     log = traj.contacts
     rows = log.has_force & (log.array("kind") == GuardKind.CONTACT) & (log.end >= window[0]) & (log.t <= window[1])
     if pairs is not None:
@@ -67,6 +78,21 @@ def force_figure(
         _draw_bodies(axes, traj, log)
     else:
         _draw_pairs(axes, traj, log)
+    return figure
+
+
+def _joint_figure(traj: Trajectory, window: tuple[float, float], size: tuple[float, float] | None) -> RunFigure:
+    """Return the figure of what servos and inputs do at joints. Raises InputError where that was not kept."""
+    found = traj.efforts()
+    units = [(what, unit) for what, unit in (("torque", "N m"), ("force", "N")) if unit in found.joints.values()]
+    figure, axes = panels(f"Efforts of joints, {traj.stepping}", window, max(1, len(units)), (), size)
+    for axis, (what, unit) in zip(axes, units, strict=False):
+        curves = [(joint, found.values[:, k]) for k, (joint, of) in enumerate(found.joints.items()) if of == unit]
+        draw_curves(axis, found.t, curves)
+        axis.set_ylabel(f"{what} of servo and input [{unit}]\n(+ towards larger coordinates)")
+        zero_line(axis, always=True)
+    if not units:
+        axes[0].text(0.5, 0.5, "no joint is driven", transform=axes[0].transAxes, ha="center", va="center", color="0.5")
     return figure
 
 
@@ -124,7 +150,8 @@ def _draw_bodies(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> Non
             draw_curve(axis, *_broken(sums[body], values), body, color=FIRST_COLORS[k], lw=1.1)
     largest = _largest([force.ravel() for force in forces])
     for k, (axis, name) in enumerate(zip(axes, "xyz", strict=True)):
-        axis.set_ylabel(f"force along {name} [N]")
+        axis.set_ylabel(f"force on the body [N]\n(+ along {name})")
+        zero_line(axis, always=True)
         _scale(axis, [force[:, k] for force in forces], largest, signed=True)
         legend(axis, _chosen(min(_MOST, len(order)), len(order), "bodies"))
 

@@ -175,6 +175,13 @@ def draw_curve(axis: Axes, t: Array, y: Array, name: str | None, **style: Any) -
     )  # fmt: skip
 
 
+def zero_line(axis: Axes, always: bool = False) -> None:
+    """Draw a line at zero, where the panel shows zero, or always; values above and below have different signs."""
+    low, high = sorted(axis.get_ylim())
+    if always or low <= 0.0 <= high:
+        axis.axhline(0.0, color="black", lw=0.8, zorder=1)
+
+
 def draw_curves(axis: Axes, t: Array, curves: Sequence[tuple[str, Array]], title: str = "") -> None:
     """Draw several curves with a legend, or a scale of colours with their names where they are many."""
     if len(curves) <= _MOST_NAMED:

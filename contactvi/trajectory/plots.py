@@ -19,7 +19,7 @@ from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory.angles import turned_angles
 from contactvi.trajectory.force_plots import force_figure, span_of
-from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, legend, panels
+from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, legend, panels, zero_line
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def plot_states(
     kinds = {joint_kind(joint) for joint in list(traj.scene.model.joints)[1:]}
     for axis, (what, unit, curves) in zip(axes, groups, strict=False):
         draw_curves(axis, traj.t, curves)
+        zero_line(axis)
         turning = bool(kinds & _IN_OWN_AXES.get(what, set()))
         axis.set_ylabel(f"{what} [{unit}]" + ("\n(bodies: own axes)" if turning else ""))
     return figure
@@ -127,15 +128,23 @@ def plot_forces(
         by: "pair": forces along the normal and along the surface, a line per pair with the sum of its points, a mean
             over every step with persistent contact; and how much of the friction cone each contact point uses,
             friction / (mu normal), which is 1 where it slides. "body": the sum of all contact forces on each body,
-            also on those fixed to the world, along the axes of the world.
+            also on those fixed to the world, along the axes of the world. "joint": what servos and inputs do at the
+            driven joints (`Trajectory.effort`), in N m and in N; positive where it pushes towards larger coordinates.
         size, window: as of `plot`.
         pairs: (a, b) of those whose contacts are drawn, each a shape, body or part as in `contacts.of`; None: all.
+
+    Forces that have a sign have a line at zero, and their labels say where positive ones point.
 
     Of many pairs or bodies those are drawn whose impulses are the largest, which the legend says. A run without forces
     has empty panels. The figure is one as that of `plot`.
     """
     _check(traj)
-    check_choice("by", by, ("pair", "body"), "forces")
+    check_choice("by", by, ("pair", "body", "joint"), "Unknown sum of forces")
+    if by == "joint" and pairs is not None:
+        raise InputError(
+            "Pairs of a figure of joints", name="pairs", expected='None with by="joint"', got=short(pairs),
+            remedy='Leave pairs out, or use by="pair"',
+        )  # fmt: skip
     return force_figure(traj, by, _window(traj, window), _size(size), _pairs(traj, pairs))
 
 
@@ -215,6 +224,7 @@ def _draw_energy(axis: Axes, traj: Trajectory) -> None:
     t, change = _with_jumps(traj)
     draw_curve(axis, t, change, "H - H(0)", color=_ENERGY, lw=1.4, marker=_marker(traj), ms=4)
     axis.set_ylabel("energy change [J]")
+    zero_line(axis)
     legend(axis)
 
 
@@ -246,6 +256,7 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
         draw_curve(axis, traj.t, change - known[0], label, color=color, lw=width, ls=style, marker=_marker(traj), ms=4)
     unknown = "" if traj.forces is not None else "damping, inputs,\n"
     axis.set_ylabel(f"{unknown}error of energy [J]")
+    zero_line(axis)
     axis.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
     legend(axis)
 
@@ -259,7 +270,7 @@ def _draw_gaps(
 ) -> None:
     ranked = list(colors)  # by impulse: the first ones have colours of their own
     order = sorted(range(len(pairs)), key=lambda k: ranked.index(pairs[k]))[:_MAX_PAIRS]
-    axis.axhline(0.0, color="black", lw=0.8)
+    zero_line(axis, always=True)
     more = f"{len(order)} of {len(pairs)} pairs that touched, by impulse" if len(pairs) > len(order) else ""
     for k in order:
         draw_curve(axis, time, gap[:, k], " | ".join(pairs[k]), color=colors[pairs[k]], lw=1.1)

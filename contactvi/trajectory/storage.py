@@ -142,6 +142,7 @@ from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, SceneError
 from contactvi.files import UNREADABLE, as_a_path, check_free, checked_path, told, write_atomic
+from contactvi.inputs import short
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
 from contactvi.records.contacts import ChangeLog, ContactLog
@@ -330,8 +331,13 @@ def _read_header(path: Path, entries: Entries) -> dict[str, Any]:
         header = json.loads(str(text))
     except (ValueError, RecursionError) as error:
         refuse(path, "a header that is not JSON", error)
+    if isinstance(header, dict) and header.get("format") == "contactvi-batch":
+        raise SceneError(
+            f"{path} is a batch of runs", path=path, expected="one run, written by Trajectory.save", got="several",
+            remedy=f'Save one of them: cvi.load("{path.name}")[0].save("run.npz")',
+        )  # fmt: skip
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        refuse(path, "an npz of another format")
+        refuse(path, f"an npz of another format, {short(header.get('format') if isinstance(header, dict) else header)}")
     if header.get("schema") != SCHEMA:
         raise SceneError(
             f"{path} has another schema",

@@ -103,7 +103,7 @@ def table(traj: Run, name: str, sample_dt: float | None = None) -> Table:
     Raises:
         InputError: an unknown name, a length that is not usable, or one for another table.
     """
-    check_choice("table", name, tuple(TABLES), "table of a run")
+    check_choice("table", name, tuple(TABLES), "Unknown table of a run")
     if sample_dt is None:
         return TABLES[name](traj)
     if name != "forces":

@@ -310,7 +310,7 @@ class Trajectory(Exports):
     def visuals(self) -> list[Visual]:
         """What the viewer draws: a list of `contactvi.playback.visuals.Visual`."""
         if self._visuals is None:
-            from contactvi.playback.visuals import from_scene
+            from contactvi.playback.scene_visuals import from_scene
 
             self._visuals = from_scene(self.scene)
         return self._visuals

@@ -191,7 +191,7 @@ def test_another_batch_is_not_taken_for_the_one_that_was_interrupted(tmp_path, m
         ((scene, qs, v), {**SETTINGS, "duration": 0.5}),
         ((changed, qs, v), SETTINGS),
     ):
-        with pytest.raises(cvi.OverwriteError, match="something else"):
+        with pytest.raises(cvi.OverwriteError, match="a batch of other starts, scene or options"):
             cvi.simulate_batch(*arguments, **call, **options)
     (tmp_path / "mine").write_text("precious")
     with pytest.raises(cvi.OverwriteError):

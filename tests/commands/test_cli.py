@@ -234,9 +234,16 @@ def test_wrong_cameras(command, tmp_path, camera, words):
 def test_wrong_input_of_render(command, tmp_path):
     cvi.simulate(cvi.load_scene(ball_file(tmp_path)), duration=0.1).save("run.npz")
     reported(command("render", "run.npz", "-o", "run.avi"), ".gif, .mp4, .png")
-    reported(command("render", "run.npz", "-o", "run.png"), "Give at=")
+    reported(command("render", "run.npz", "-o", "run.png"), "Use --at 0.5")
     reported(command("render", "run.npz", "--size", "big"), "800x600")
     reported(command("render", "none.npz"), "no such file")
+    Path("page.html").write_text("<!DOCTYPE html>\n<html></html>")
+    reported(command("run", "page.html"), "page.html is a page, not a scene")
+    Path("stored").mkdir()
+    Path("run.npz").rename("stored/trajectory.npz")
+    reported(command("run", "stored"), "contactvi play stored")
+    Path("run.npz").write_text("taken")
+    reported(command("run", ball_file(tmp_path), "-o", "run.npz"), "a file of this name")
 
 
 @pytest.mark.browser

@@ -15,7 +15,7 @@ import pytest
 import contactvi as cvi
 from contactvi import cache
 from contactvi.importing.mjcf import compiler
-from contactvi.playback import visuals
+from contactvi.playback import scene_visuals
 from helpers.extras import mujoco_module
 
 mujoco_module()
@@ -65,7 +65,7 @@ def facts(model: Path) -> list[Any]:
     found: list[Any] = [str(scene.report), scene.pair_names, scene.pair_friction.tobytes(), scene.neutral().tobytes()]
     found += [np.array(hull.geometry.points()).tobytes(), [str(inertia) for inertia in scene.model.inertias]]
     found += [{name: q.tobytes() for name, (q, _) in scene.named_configurations.items()}, scene.model.damping.tobytes()]
-    found += [(v.name, v.vertices.tobytes(), v.faces.tobytes()) for v in visuals.from_scene(scene)]
+    found += [(v.name, v.vertices.tobytes(), v.faces.tobytes()) for v in scene_visuals.from_scene(scene)]
     return found
 
 
@@ -126,7 +126,7 @@ def test_meshes_that_are_gone_are_compiled_again_when_they_are_shown(
     before = facts(model)
     scene = cvi.Scene.from_mjcf(model)
     monkeypatch.setenv("CONTACTVI_CACHE", "")
-    assert [(v.name, v.vertices.tobytes(), v.faces.tobytes()) for v in visuals.from_scene(scene)] == before[8:]
+    assert [(v.name, v.vertices.tobytes(), v.faces.tobytes()) for v in scene_visuals.from_scene(scene)] == before[8:]
     assert len(compiled) == 2
 
 
@@ -136,7 +136,7 @@ def test_meshes_of_files_that_have_changed_since_are_an_error(model: Path, monke
     monkeypatch.setenv("CONTACTVI_CACHE", "")
     model.write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
     with pytest.raises(cvi.SceneError, match="load the model again"):
-        visuals.from_scene(scene)
+        scene_visuals.from_scene(scene)
 
 
 def test_a_model_with_a_file_that_cannot_be_found_is_not_kept(model: Path, compiled: list[Path]):

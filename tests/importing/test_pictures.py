@@ -15,7 +15,7 @@ from contactvi.importing.hulls import faces_of_mesh
 from contactvi.importing.mesh_hulls import MeshFile
 from contactvi.importing.pictures import find_surface, surface_of_file
 from contactvi.importing.submeshes import arrays_of
-from contactvi.playback import visuals
+from contactvi.playback import scene_visuals, visuals
 from helpers.extras import mujoco_module
 
 COUNT = 24  # points around a bumpy ball
@@ -114,7 +114,7 @@ def test_loading_reads_no_mesh_that_is_only_drawn(folder: Path, monkeypatch: pyt
 def test_pictures_are_the_meshes_of_the_visual_model(model: Path):
     """The visual model has coal's meshes, with trees; vertices and triangles are those of the pictures."""
     scene = loaded(model)
-    shown = {visual.name: visual for visual in visuals.from_scene(scene)}
+    shown = {visual.name: visual for visual in scene_visuals.from_scene(scene)}
     meshes = [item for item in scene.visual_model.geometryObjects if isinstance(item.geometry, coal.BVHModelBase)]
     assert len(meshes) == 2
     for item in meshes:
@@ -144,21 +144,21 @@ def test_a_stored_run_brings_its_meshes(model: Path, tmp_path: Path):
 
 
 def test_pictures_from_the_cache_are_those_that_are_read(model: Path, monkeypatch: pytest.MonkeyPatch):
-    before = plain(visuals.from_scene(loaded(model)))
+    before = plain(scene_visuals.from_scene(loaded(model)))
     monkeypatch.setattr(MeshFile, "read", no_tree)
-    assert plain(visuals.from_scene(loaded(model))) == before
+    assert plain(scene_visuals.from_scene(loaded(model))) == before
 
 
 def test_pictures_are_loaded_once_for_copies_of_a_scene(folder: Path, monkeypatch: pytest.MonkeyPatch):
     scene = loaded(folder / "r.urdf")
     twin = scene.copy()
-    before = plain(visuals.from_scene(scene))
+    before = plain(scene_visuals.from_scene(scene))
     monkeypatch.setattr(MeshFile, "key", no_tree)
-    assert plain(visuals.from_scene(twin)) == before
+    assert plain(scene_visuals.from_scene(twin)) == before
 
 
 def test_thinned_meshes_from_the_cache_are_those_that_are_made(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    found = visuals.from_scene(loaded(folder / "r.urdf"))
+    found = scene_visuals.from_scene(loaded(folder / "r.urdf"))
     made = plain(visuals.thin_out(found, 600))
     monkeypatch.setattr(visuals, "_clustered", no_tree)
     assert plain(visuals.thin_out(found, 600)) == made

@@ -252,3 +252,49 @@ def test_a_pair_has_one_colour_in_the_page_and_in_plots(browser, tmp_path):
     assert len(drawn) >= 12  # six pairs in each figure
     assert all(shown[name] == color for name, color in drawn)
     assert len(set(drawn)) == len({color for _, color in drawn})  # those that are drawn differ
+
+
+# Of the impulses that are shown: their points, their starts and ends as they are drawn, on the screen; and lines.
+STRUCK = """
+stage.render();
+const pixel = p => { const q = p.clone().project(stage.camera);
+  return [(0.5 + 0.5 * q.x) * stage.width, (0.5 - 0.5 * q.y) * stage.height]; };
+return {
+  drawn: signs.impacts.places.map(([p, d, length]) => [pixel(p), pixel(p.clone().addScaledVector(d, length))]),
+  points: signs.struck.map(({point}) => point.toArray()), starts: signs.starts.map(p => p.toArray()),
+  apart: APART, ends: Array.from(signs.leaders.geometry.getAttribute("position").array)};
+"""
+
+
+def segments_apart(first: np.ndarray, second: np.ndarray) -> float:
+    """The least distance of points that are scattered over two segments (2, 2)."""
+    share = np.linspace(0.0, 1.0, 60)[:, None]
+    a, b = ((1.0 - share) * ends[0] + share * ends[1] for ends in (first, second))
+    return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
+
+
+def test_impulses_at_one_place_are_drawn_beside_each_other(browser, tmp_path):
+    """A ball bounces ever faster at one place: its impulses do not overlap, and lines lead to where they happened."""
+    scene = ball_scene(restitution=0.6)
+    traj = cvi.simulate(scene, duration=1.9, dt=1e-2)
+    times = traj.events.array("time")
+    open_page(browser, traj, tmp_path, play=False)
+    browser.execute_script("signs.least = 0;")
+    set_slider(browser, float(times[7]) + 1e-6)
+    shown = browser.execute_script(STRUCK)
+    assert len(shown["drawn"]) >= 3
+    assert np.ptp(np.array(shown["points"])[:, :2], axis=0).max() < 1e-6  # all at one place
+    drawn = np.array(shown["drawn"])
+    for k, first in enumerate(drawn):
+        for second in drawn[:k]:
+            assert segments_apart(first, second) > shown["apart"] - 0.5
+    moved = [k for k, (a, b) in enumerate(zip(shown["points"], shown["starts"], strict=True)) if a != b]
+    ends = np.array(shown["ends"]).reshape(-1, 2, 3)
+    assert len(moved) == len(drawn) - 1
+    for k, line in zip(moved, ends, strict=True):
+        assert line == pytest.approx(np.array([shown["points"][k], shown["starts"][k]]), abs=8 * SINGLE)
+    again = "player.play(); player.time = arguments[0]; player.show(); "
+    shown = browser.execute_script(again + STRUCK, float(times[7]) + 1e-6)
+    assert shown["starts"] == shown["points"]  # while it plays arrows stay at their places
+    assert shown["ends"] == []
+    assert errors(browser) == []

@@ -17,6 +17,8 @@ from scipy.sparse.csgraph import connected_components
 import contactvi as cvi
 from contactvi.importing.kinematics import JointChains
 from contactvi.playback import animation, event_list, framing, shapes, visuals
+from contactvi.playback.animation import frames_of
+from contactvi.playback.contact_frames import contact_frames
 from contactvi.playback.event_list import KINDS, happenings
 from contactvi.playback.lathe import outline_mesh
 from contactvi.playback.open_side import trees_of
@@ -602,3 +604,23 @@ def test_closed_meshes_are_told_from_open_ones():
     assert is_closed(apart.astype(np.float32), corners)
     assert not is_closed(apart.astype(np.float32), corners[1:])
     assert not is_closed(apart.astype(np.float32), corners[:, ::-1])
+
+
+def test_contact_points_stay_on_bodies_within_long_steps():
+    """The corners of a box that slides in steps of an eighth of a second: where they are at each frame, but for the
+    chord of the path, of which the sagitta is a h^2 / 8."""
+    mu, h, half = 0.1, 0.125, 0.1
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    box = scene.add_box("box", size=(2 * half,) * 3, placement=(0, 0, half))
+    scene.set_contact(friction=mu, restitution=0.0)
+    traj = cvi.simulate(scene, v0=scene.velocity({box: (2.0, 0.0, 0.0)}), duration=1.0, dt=h)
+    frames = frames_of(traj, 60.0)
+    found = contact_frames(traj, frames.times, 0.3)
+    assert np.diff(found.first).tolist() == [4] * len(frames.times)
+    place = traj.resample(found.times)[:, 0]
+    for k, x in enumerate(place):
+        corners = np.sort(found.point[found.first[k] : found.first[k + 1], 0])
+        # In the first step the point goes on as in the second: the speed differs by a h there.
+        slack = mu * 9.81 * h**2 * (1.0 if found.times[k] < h else 0.125)
+        assert corners == pytest.approx(x + half * np.array([-1, -1, 1, 1]), abs=slack + 1e-6)

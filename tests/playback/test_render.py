@@ -39,7 +39,7 @@ def program(folder: Path, name: str, text: str) -> None:
     [
         ("a.avi", {}, r"\.gif, \.mp4, \.png"),
         ("a", {}, "Name it a.gif"),
-        ("a.png", {}, "Give at="),
+        ("a.png", {}, "Use at=0.5"),
         ("a.gif", {"at": 0.5}, "Leave at out"),
         ("a.png", {"at": 1.5}, "a time of the run, 0 to 1 s"),
         ("a.png", {"at": "soon"}, "at is not usable"),
@@ -58,6 +58,8 @@ def program(folder: Path, name: str, text: str) -> None:
         ("a.gif", {"transparent": True}, "a .png for it"),
         ("a.mp4", {"dpi": 300}, "a .png for it"),
         ("a.png", {"at": 0.5, "dpi": 0}, "dpi"),
+        ("a.gif", {"ground": "no"}, "ground"),
+        ("a.gif", {"force_scale": 0.0}, "force_scale"),
     ],
 )
 def test_bad_arguments(ball, tmp_path, monkeypatch, name, options, match):
@@ -199,12 +201,7 @@ def test_pictures_show_forces_on_wish(tmp_path):
 @pytest.mark.browser
 def test_pictures_tell_how_long_a_newton_is(tmp_path):
     """The arrow of a known weight beside that of the scale: the scale's is one of 1, 2, 5, 10, ... newtons."""
-    scene = cvi.Scene()
-    scene.add_halfspace()
-    # What is seen through hides no arrow.
-    scene.add_sphere("ball", 0.1, mass=3.0, color=(0.8, 0.8, 0.2, 0.3), placement=(0, 0, 0.1))
-    scene.set_contact(restitution=0.0)
-    run = cvi.simulate(scene, duration=0.2, dt=1e-2)
+    run = heavy_ball()
     file = run.render(tmp_path / "a.png", at=0.1, size=(640, 480), camera="side")
     with Image.open(file) as image:
         pixels = np.asarray(image.convert("RGB")).astype(int)
@@ -221,10 +218,46 @@ def test_pictures_tell_how_long_a_newton_is(tmp_path):
     assert 0.06 * 640 < scale_length < 0.17 * 640
 
 
+def heavy_ball() -> cvi.Trajectory:
+    """A ball of 3 kg that lies on the ground, seen through: it hides no arrow."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, mass=3.0, color=(0.8, 0.8, 0.2, 0.3), placement=(0, 0, 0.1))
+    scene.set_contact(restitution=0.0)
+    return cvi.simulate(scene, duration=0.2, dt=1e-2)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("force_scale", [100.0, 60.0])
+def test_a_given_scale_of_forces_is_that_of_the_arrows(tmp_path, force_scale):
+    """Seen from the side, the arrow of the weight and that of the scale are as long as the camera says."""
+    distance, height = 2.0, 480
+    camera = {"eye": (0.0, -distance, 0.1), "target": (0.0, 0.0, 0.1)}
+    file = heavy_ball().render(
+        tmp_path / "a.png", at=0.1, size=(640, height), camera=camera, force_scale=force_scale
+    )  # fmt: skip
+    with Image.open(file) as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    per_metre = height / (2.0 * distance * np.tan(np.radians(15.0)))
+    blue = np.abs(pixels[:, 300:340] - (0x1E, 0x4F, 0xBF)).max(axis=2) < 60
+    tip = np.flatnonzero(blue.any(axis=1))[0]
+    start = height / 2 + 0.1 * per_metre  # the ground is a tenth of a metre below the middle
+    assert start - tip == pytest.approx(3.0 * 9.81 / force_scale * per_metre, abs=3.0)
+    ink = np.abs(pixels - (0x1D, 0x27, 0x33)).max(axis=2) < 60
+    row = ink[460:468, :120].sum(axis=1).argmax() + 460
+    length = np.flatnonzero(np.diff(np.flatnonzero(ink[row, :200]), append=1000) > 1)[0] + 1
+    newtons = length / per_metre * force_scale
+    known = np.array([digit * 10.0**power for power in range(-1, 4) for digit in (1, 2, 5)])
+    nearest = known[np.argmin(np.abs(np.log(known / newtons)))]
+    assert newtons == pytest.approx(nearest, abs=2.0 / per_metre * force_scale)  # two pixels
+
+
 @pytest.mark.browser
 def test_a_picture_without_background(falling, tmp_path):
-    """Nothing is where the sky was, the ball is as it was; and the file says how many pixels an inch has."""
-    options = {"at": 0.2, "size": "160x120", "camera": "side"}
+    """Nothing is where sky and ground were, but the shadow on it; the ball is as it was; and the file says how many
+    pixels an inch has."""
+    camera = {"eye": (0.0, -2.0, 1.2), "target": (0.0, 0.0, 0.35)}
+    options = {"at": 0.4, "size": "160x120", "camera": camera}
     file = falling.render(tmp_path / "a.png", transparent=True, dpi=300, **options)
     with Image.open(file) as image:
         assert image.mode == "RGBA"
@@ -235,10 +268,26 @@ def test_a_picture_without_background(falling, tmp_path):
         plain = np.asarray(image)
     ball = green(plain)
     inner = ball & np.roll(ball, 2, 0) & np.roll(ball, -2, 0) & np.roll(ball, 2, 1) & np.roll(ball, -2, 1)
-    assert inner.sum() > 100
+    assert inner.sum() > 50
     assert pixels[inner, 3].min() == 255
     assert np.abs(pixels[inner, :3].astype(int) - plain[inner]).max() <= 3
-    assert pixels[2, 2, 3] == 0
+    alpha = pixels[..., 3]
+    assert [alpha[2, 2], alpha[-3, 2], alpha[-3, -3]] == [0, 0, 0]  # the lower corners show the ground
+    shadow = np.abs(alpha.astype(int) - 0.25 * 255) < 1.0  # of the opacity that it has where no sun comes
+    assert (pixels[shadow, :3].max(axis=1) <= 3).sum() > 50  # others are on the border of the ball
+
+
+@pytest.mark.browser
+def test_the_ground_is_left_out_or_drawn_on_wish(falling, tmp_path):
+    camera = {"eye": (0.0, -2.0, 1.2), "target": (0.0, 0.0, 0.35)}
+    options = {"at": 0.4, "size": "160x120", "camera": camera, "forces": False}
+    with Image.open(falling.render(tmp_path / "a.png", ground=False, **options)) as image:
+        bare = np.asarray(image).astype(int)
+    assert np.abs(bare[[2, -3, -3], [2, 2, -3]] - bare[2, -3]).max() == 0  # all of it is sky
+    with Image.open(falling.render(tmp_path / "b.png", ground=True, transparent=True, **options)) as image:
+        alpha = np.asarray(image)[..., 3]
+    assert min(alpha[-3, 2], alpha[-3, -3]) > 80  # it fades out in the distance
+    assert alpha[2, 2] == 0
 
 
 @pytest.mark.browser

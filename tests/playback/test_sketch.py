@@ -13,10 +13,10 @@ from contactvi.playback.animation import Frames, Poses
 from contactvi.playback.lathe import outline_mesh
 from contactvi.playback.live_frames import BodyPoses
 from contactvi.playback.open_side import trees_of
+from contactvi.playback.scene_visuals import from_scene
 from contactvi.playback.sight import covered
 from contactvi.playback.sketch import Sketch
 from contactvi.playback.touches import Touches
-from contactvi.playback.visuals import from_scene
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 

@@ -93,6 +93,8 @@ def test_load_reads_every_file_of_ours_by_what_is_in_it(tmp_path):
         np.testing.assert_array_equal(run.q, traj.q)
     cvi.simulate_batch(scene, np.tile(scene.q0, (3, 1)), path=tmp_path / "runs.bin")
     batch = cvi.load(tmp_path / "runs.bin")
+    with pytest.raises(cvi.SceneError, match="is a batch of runs"):
+        cvi.Trajectory.load(tmp_path / "runs.bin")
     assert isinstance(batch, cvi.StoredBatch)
     assert len(batch) == 3
 
@@ -107,6 +109,8 @@ def test_load_reads_every_file_of_ours_by_what_is_in_it(tmp_path):
         ("objects.npz", "Python objects"),
         ("objects.npy", "Python objects"),
         ("other.npz", "without the entry 'header'"),
+        ("page.html", "got a page. Name the file of its run, trajectory.npz"),
+        ("states.csv", "got a table"),
     ],
 )
 def test_what_load_cannot_read(tmp_path, name, says):
@@ -116,6 +120,8 @@ def test_what_load_cannot_read(tmp_path, name, says):
     np.savez(tmp_path / "objects.npz", header=np.array([{}], dtype=object))
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object))
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    for shown in ("page.html", "states.csv"):
+        (tmp_path / shown).write_text("hello")
     with pytest.raises(cvi.SceneError) as told:
         cvi.load(tmp_path / name)
     assert says in str(told.value)

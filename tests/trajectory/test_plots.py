@@ -177,8 +177,37 @@ def test_forces_on_bodies(box):
         assert curve.get_ydata()[sliding] == pytest.approx(
             -sign * MU * MASS * GRAVITY * np.ones(sliding.sum()), rel=1e-9
         )
-    with pytest.raises(cvi.InputError, match="'pair' | 'body'"):
+    with pytest.raises(cvi.InputError, match="'pair' | 'body' | 'joint'"):
         cvi.plot_forces(box, by="bodies")
+
+
+def has_zero_line(axis) -> bool:
+    return any(np.array_equal(line.get_ydata(), [0.0, 0.0]) for line in axis.lines)
+
+
+def test_what_has_a_sign_says_so_and_has_a_line_at_zero(box):
+    for axis, name in zip(cvi.plot_forces(box, by="body").axes[-3:], "xyz", strict=True):
+        assert axis.get_ylabel() == f"force on the body [N]\n(+ along {name})"
+        assert has_zero_line(axis)
+        low, high = axis.get_ylim()
+        assert low < 0.0 < high
+
+
+def test_efforts_of_joints():
+    """A servo holds an arm up: the torque is the one of the weight, upwards."""
+    scene = arm_scene(2)
+    scene.set_servo("j*", 400.0, 40.0)
+    traj = cvi.simulate(scene, duration=0.2, dt=1e-2)
+    (axis,) = cvi.plot_forces(traj, by="joint").axes
+    assert axis.get_ylabel() == "torque of servo and input [N m]\n(+ towards larger coordinates)"
+    assert has_zero_line(axis)
+    drawn = {line.get_label(): line.get_ydata() for line in axis.lines}
+    for joint in ("j1", "j2"):
+        assert np.array_equal(drawn[joint], traj.effort(joint))
+    (axis,) = cvi.plot_forces(cvi.simulate(arm_scene(1), duration=0.1, dt=1e-2), by="joint").axes
+    assert axis.texts[0].get_text() == "no joint is driven"
+    with pytest.raises(cvi.InputError, match="Leave pairs out"):
+        cvi.plot_forces(traj, by="joint", pairs=[("a", "b")])
 
 
 def test_forces_on_a_body_that_is_fixed_and_on_the_universe():

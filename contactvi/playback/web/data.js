@@ -9,6 +9,7 @@ const THREE = MeshCat.THREE;
 //   contacts(t, add)       calls add(point, force, mode, pair) for every contact point, with vectors that it uses again;
 //   pairs                  [{name, color}] of the forces, the strongest first; pair(number) is that of a contact;
 //   fullForce              [N] the force whose arrow has the full length; null without contacts;
+//   forceScale             [N/m] the scale of the arrows that is given instead, else null;
 //   modes                  the numbers of the modes that occur;
 //   events                 an EventList.
 // Recording is the source of a run that is over, LiveSource (live.js) that of one that goes on: its frames, modes, events
@@ -94,6 +95,7 @@ class Recording {
     this.events = EventList.of(run.events);
     this.paths = run.bodies.map(body => ({position: unpack(body.position), quaternion: unpack(body.quaternion)}));
     this.rows = this.fullForce = null;
+    this.forceScale = run.force_scale;
     this.modes = [];
     this.pairs = run.contacts ? run.contacts.pairs : [];
     if (run.contacts) {

@@ -5,9 +5,9 @@ const LEADER_COLOR = "#55636f";
 
 // Places of the middles of boxes {x, y, width, height, order} around their anchors x, y [px], such that none overlaps
 // another one: each in turn, those of the nearest bodies first, gets the free place that is nearest to its anchor. A box
-// for which there is none within the picture is given null.
-function declutter(boxes, width, height) {
-  const taken = [], places = boxes.map(() => null);
+// for which there is none within the picture is given null. No box overlaps those in `others` either.
+function declutter(boxes, width, height, others = []) {
+  const taken = [...others], places = boxes.map(() => null);
   const rising = [...boxes.keys()].sort((a, b) => boxes[a].order - boxes[b].order || a - b);
   const free = (x, y, box) => x >= box.width / 2 && x <= width - box.width / 2 && y >= box.height / 2 &&
     y <= height - box.height / 2 && taken.every(other => Math.abs(other.x - x) >= (other.width + box.width) / 2 + 1 ||
@@ -68,8 +68,8 @@ class Labels {
   // The bodies that have names: all but the world.
   bodies() { return [...this.stage.bodies.keys()].filter(k => !this.stage.source.bodies[k].fixed && this.stage.bodies[k].name); }
 
-  // Where the boxes of these sizes [px] are now.
-  places(sizes) {
+  // Where the boxes of these sizes [px] are now, beside the boxes of others.
+  places(sizes, others) {
     const {stage} = this, point = new THREE.Vector3(), inside = [];
     const boxes = this.bodies().map((k, place) => {
       stage.center(k, point).project(stage.camera);
@@ -77,7 +77,7 @@ class Labels {
       return {x: (0.5 + 0.5 * point.x) * stage.width, y: (0.5 - 0.5 * point.y) * stage.height, order: point.z,
         width: sizes[place][0], height: sizes[place][1]};
     });
-    const found = declutter(boxes.filter((_, k) => inside[k]), stage.width, stage.height);
+    const found = declutter(boxes.filter((_, k) => inside[k]), stage.width, stage.height, others);
     return inside.map(seen => seen ? found.shift() : null);
   }
 
@@ -94,12 +94,12 @@ class Labels {
   }
 
   // Draw the names into a picture of the size of the stage.
-  drawInto(pen) {
+  drawInto(pen, others) {
     pen.font = '11px "DejaVu Sans", sans-serif';
     pen.textBaseline = "middle";
     pen.textAlign = "center";
     const names = this.bodies().map(k => this.stage.bodies[k].name);
-    const places = this.places(names.map(name => [pen.measureText(name).width + 8, 16]));
+    const places = this.places(names.map(name => [pen.measureText(name).width + 8, 16]), others);
     pen.lineWidth = 1;
     pen.strokeStyle = LEADER_COLOR;
     for (const box of places) {

@@ -15,6 +15,7 @@ const orbit = new Orbit(stage, run.camera);
 const signs = new Signs(stage, source);
 const labels = new Labels(stage);
 const player = new (run.live ? LivePlayer : Player)(stage, orbit, signs, source);
+signs.apart = () => !player.playing;
 player.seek(source.start);
 const panels = new Panels(player, run);
 orbit.choose(run.camera);

@@ -141,7 +141,7 @@ class Panels {
     for (const {name, color} of source.fullForce === null ? [] : source.pairs.slice(0, NAMED)) {
       const entry = make("span", "", pairs);
       make("i", "", entry, {className: "arrow"}).style.background = color;
-      make("span", name, entry, {className: "pair", title: name});
+      make("span", shortened(name), entry, {className: "pair", title: name});
     }
     if (source.pairs.length > NAMED) { make("span", `${source.pairs.length - NAMED} more pairs`, pairs); }
     const present = source.modes.map(mode => MODES[mode]);
@@ -155,7 +155,7 @@ class Panels {
       pairs.style.display = signs.shown.forces && pairs.children.length ? "" : "none";
       points.style.display = signs.shown.points && points.children.length ? "" : "none";
       box.style.display = row.style.display && points.style.display ? "none" : "";
-      if (this.measure) { this.measure.textContent = "force " + scaleWords(signs.perNewton * signs.scale, this.player.stage.view.size); }
+      if (this.measure) { this.measure.textContent = "force " + scaleWords(signs.perNewton * signs.scale, this.player.stage.view.arrow); }
     };
     this.legendShown();
     element("now").style.display = this.events.strongest > 0 ? "" : "none";
@@ -369,11 +369,17 @@ class EventPanel {
   }
 }
 
+// The name of a pair, long names without their middles: names often begin alike.
+function shortened(pair) {
+  const part = name => name.length > 16 ? name.slice(0, 7) + "\u2026" + name.slice(-8) : name;
+  return pair.length > 32 ? pair.split(" | ").map(part).join(" | ") : pair;
+}
+
 function css(color) { return "#" + color.toString(16).padStart(6, "0"); }
 
-// "5 N = 12 cm" for a scale [m/N]: a round force whose arrow has about the full length for bodies of this size [m].
-function scaleWords(perNewton, size) {
-  const newtons = roundNumber(ARROW_LENGTH * size / perNewton), length = newtons * perNewton;
+// "5 N = 12 cm" for a scale [m/N]: a round force whose arrow has about the full length [m].
+function scaleWords(perNewton, arrow) {
+  const newtons = roundNumber(arrow / perNewton), length = newtons * perNewton;
   const [unit, word] = length >= 1 ? [1, "m"] : length >= 0.01 ? [100, "cm"] : [1000, "mm"];
   const force = newtons >= 1e5 || newtons < 1e-3 ? newtons.toExponential(0) : newtons;
   return `${force} N = ${Number((unit * length).toPrecision(2))} ${word}`;

@@ -37,6 +37,7 @@ class Player {
 
   pause() {
     this.playing = false;
+    this.stage.draw();
     this.tell();
   }
 

@@ -16,16 +16,22 @@ async function draw() {
     stage.sun.shadow.map = null;
   }
   if (job.transparent) { stage.renderer.setClearColor(BACKGROUND, 0); }
+  if (job.ground !== "drawn") { stage.hideGround(job.ground === "shadows"); }
   player.pause();
+  signs.apart = () => job.times.length === 1;
   player.speed = job.speed;
   signs.shown.impacts = job.forces;
   stage.resize();
   orbit.choose(run.camera);
+  let sent = Promise.resolve();  // a picture is drawn while the one before is on its way
   for (const time of job.times) {
     player.seek(time);
     stage.render();
-    await fetch("frame", {method: "POST", body: finished(stage.renderer.domElement)});
+    const pixels = finished(stage.renderer.domElement);
+    await sent;
+    sent = fetch("frame", {method: "POST", body: pixels});
   }
+  await sent;
 }
 
 // The pixels of the picture at its own size, four bytes each, with what is written on it.
@@ -35,18 +41,32 @@ function finished(drawn) {
   const pen = canvas.getContext("2d", {willReadFrequently: true});
   pen.imageSmoothingQuality = "high";
   pen.drawImage(drawn, 0, 0, job.width, job.height);
-  if (job.labels) { labels.drawInto(pen); }
-  if (job.forces && signs.source.fullForce !== null && signs.shown.forces) { drawScale(pen); }
+  if (job.labels) {
+    const numbers = job.forces && job.times.length === 1 ? placedNumbers() : [];
+    labels.drawInto(pen, [...numbers.filter(box => box), ...numbers.length ? signs.boxes() : []]);
+    drawNumbers(pen, numbers);
+  }
+  if (job.forces) { drawScales(pen); }
   return pen.getImageData(0, 0, job.width, job.height).data;
 }
 
-// A scale of the forces: an arrow of a round number of newtons, as long as it is at the target.
-function drawScale(pen) {
-  const half = Math.tan(stage.camera.fov * Math.PI / 360);
-  const perNewton = signs.perNewton * signs.scale * job.height / (2 * orbit.distance * half);  // [pixels/N]
-  const newtons = roundBelow(0.16 * job.width / perNewton), length = newtons * perNewton;
-  const left = 14, y = job.height - 16, head = 7;
-  pen.fillStyle = INK;
+// Scales of forces, and of impulses where there are some: arrows of round numbers, as long as they are at the target.
+function drawScales(pen) {
+  const {source, scale} = signs, perMetre = job.height / (2 * orbit.distance * Math.tan(stage.camera.fov * Math.PI / 360));
+  let left = 14;
+  if (source.fullForce !== null && signs.shown.forces) {
+    const given = source.forceScale ? ` (${Number(source.forceScale.toPrecision(6))} N/m)` : "";
+    left = drawScale(pen, left, signs.perNewton * scale * perMetre, INK, newtons => `${newtons} N${given}`);
+  }
+  if (signs.shown.impacts && signs.struck.length) {
+    drawScale(pen, left, signs.perNewtonSecond * perMetre, css(IMPACT_COLOR), impulse => `${impulse} N s`);
+  }
+}
+
+// An arrow with words beside it, from `left` [px] on; returns where the words end.
+function drawScale(pen, left, perUnit, color, words) {
+  const amount = roundBelow(0.16 * job.width / perUnit), length = amount * perUnit, y = job.height - 16, head = 7;
+  pen.fillStyle = color;
   pen.fillRect(left, y - 1.2, length - head, 2.4);
   pen.beginPath();
   pen.moveTo(left + length, y);
@@ -55,7 +75,39 @@ function drawScale(pen) {
   pen.fill();
   pen.font = '12px "DejaVu Sans", sans-serif';
   pen.textBaseline = "middle";
-  pen.fillText(`${newtons} N`, left + length + 6, y);
+  pen.fillStyle = INK;
+  pen.fillText(words(amount), left + length + 6, y);
+  return left + length + 6 + pen.measureText(words(amount)).width + 22;
+}
+
+// Boxes for the numbers of several impulses in the order of time, behind their arrows; null where there is no room.
+function placedNumbers() {
+  if (signs.struck.length < 2) { return []; }
+  const point = new THREE.Vector3();
+  const boxes = signs.struck.map(({direction}, k) => {
+    point.copy(signs.starts[k]).project(stage.camera);
+    const [x, y] = [(0.5 + 0.5 * point.x) * job.width, (0.5 - 0.5 * point.y) * job.height];
+    point.copy(signs.starts[k]).addScaledVector(direction, 0.1 * stage.view.size).project(stage.camera);
+    const [u, v] = [(0.5 + 0.5 * point.x) * job.width - x, (0.5 - 0.5 * point.y) * job.height - y];
+    const size = Math.hypot(u, v) || 1;
+    return {x: x - 8 * u / size, y: y - 8 * v / size, width: 6 + 6 * String(k + 1).length, height: 11, order: k};
+  });
+  return declutter(boxes, job.width, job.height);
+}
+
+function drawNumbers(pen, boxes) {
+  pen.font = 'bold 10px "DejaVu Sans", sans-serif';
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  boxes.forEach((box, k) => {
+    if (!box) { return; }
+    pen.strokeStyle = "#ffffff";
+    pen.lineWidth = 2.5;
+    pen.strokeText(k + 1, box.x, box.y);
+    pen.fillStyle = css(IMPACT_COLOR);
+    pen.fillText(k + 1, box.x, box.y);
+  });
+  pen.textAlign = "start";
 }
 
 // The largest of 1, 2, 5, 10, 20, ... that is not above a number.

@@ -1,11 +1,11 @@
 // Signs of contact: arrows of forces in the colours of their pairs, of impulses, and points by what they do. What bodies
-// hide of an arrow is faint; they never hide points. However many there are, they take ten drawing calls.
+// hide of an arrow is faint; they never hide points. However many there are, they take a dozen drawing calls. Impulses
+// that would lie over each other in a picture that stands still are drawn beside each other, with lines to their points.
 
 const IMPACT_COLOR = 0xe0431f, INK = "#1d2733";
 const MODE_COLORS = {stick: 0x0072b2, slip: 0xe69f00, roll: 0x009e73, frictionless: 0x8c8c8c};
-const ARROW_LENGTH = 0.4;  // of the size of the bodies, for the full force
 const FAINT = 0.45;  // opacity of what is behind bodies
-const AFTERGLOW = 0.25;  // [s] of viewing for which an impact is shown
+const APART = 11;  // [px] between impulses in a picture that stands still
 
 // Arrows with a light seam, which sets them off against dark bodies: faint without regard to what is before them, and
 // over that as far as they are seen.
@@ -135,22 +135,35 @@ class Signs {
     this.source = source;
     const size = stage.view.size;
     this.scale = 1;
-    this.longest = 1.5 * ARROW_LENGTH * size;  // at the scale 1: peaks are cut
+    // [m] at the scale 1: peaks are cut, unless the scale is given.
+    this.longest = source.forceScale ? Infinity : stage.view.longest * stage.view.arrow;
     this.forces = new Arrows(stage.scene, 0.007 * size, 20);
     this.impacts = new Arrows(stage.scene, 0.007 * size, 30);
     this.dots = new Dots(stage, 40);
-    stage.beforeDraw = () => this.dots.size();
+    this.leaders = new THREE.LineSegments(new THREE.BufferGeometry(),
+      new THREE.LineBasicMaterial({color: IMPACT_COLOR, depthTest: false, depthWrite: false, transparent: true}));
+    this.leaders.frustumCulled = false;
+    this.leaders.renderOrder = 29;
+    stage.scene.add(this.leaders);
+    this.struck = [];  // the impulses that are shown, in the order of time
+    this.apart = () => false;  // whether they are drawn beside each other
+    stage.beforeDraw = () => { this.dots.size(); this.placeImpacts(); };
     this.shown = {forces: true, points: true, impacts: true};
     this.least = 0;  // [N s] impacts below are not shown
   }
 
   // [m/N] at the scale 1.
-  get perNewton() { return ARROW_LENGTH * this.stage.view.size / (this.source.fullForce || 1); }
+  get perNewton() {
+    return this.source.forceScale ? 1 / this.source.forceScale : this.stage.view.arrow / (this.source.fullForce || 1);
+  }
+
+  // [m/(N s)] of impulses.
+  get perNewtonSecond() { return this.stage.view.arrow / (this.source.events.strongest || 1); }
 
   // Show what happens at t; impacts for a while of viewing time. Returns the strongest impact shown, -1 without one.
   show(t, speed) {
-    const {forces, dots, impacts, source} = this, direction = new THREE.Vector3(), cut = this.longest * this.scale;
-    for (const part of [forces, dots, impacts]) { part.begin(); }
+    const {forces, dots, source} = this, direction = new THREE.Vector3(), cut = this.longest * this.scale;
+    for (const part of [forces, dots]) { part.begin(); }
     source.contacts(t, (point, force, mode, pair) => {
       if (this.shown.points) { dots.add(point, MODE_COLORS[MODES[mode]]); }
       const strength = force.length();
@@ -160,24 +173,108 @@ class Signs {
       }
     });
     const latest = this.showImpacts(t, speed);
-    for (const part of [forces, dots, impacts]) { part.end(); }
+    for (const part of [forces, dots]) { part.end(); }
+    this.placed = null;
+    this.placeImpacts();
     this.stage.draw();
     return latest;
   }
 
   showImpacts(t, speed) {
-    const events = this.source.events, window = Math.min(AFTERGLOW * speed, (this.source.end - this.source.start) / 12);
-    const full = ARROW_LENGTH * this.stage.view.size, point = new THREE.Vector3(), direction = new THREE.Vector3();
+    const {events, start, end} = this.source, {afterglow, arrow} = this.stage.view;
+    const window = Math.min(afterglow * speed, (end - start) / 12);
     let strongest = -1;
+    this.struck = [];
     for (let k = lastNotAbove(events.time, t + 1e-9); k >= 0 && events.time[k] > t - window - 1e-9; --k) {
       if (!events.isImpact(k) || events.impulse[k] < this.least) { continue; }
       if (strongest < 0 || events.impulse[k] > events.impulse[strongest]) { strongest = k; }
       if (!this.shown.impacts || !events.drawn[k]) { continue; }
-      point.fromArray(events.point, 3 * k);
-      direction.fromArray(events.direction, 3 * k);
       const share = events.strongest > 0 ? events.impulse[k] / events.strongest : 1;
-      this.impacts.add(point, direction, full * Math.max(share, 0.15), IMPACT_COLOR);
+      this.struck.unshift({point: new THREE.Vector3().fromArray(events.point, 3 * k),
+        direction: new THREE.Vector3().fromArray(events.direction, 3 * k), length: arrow * Math.max(share, 0.15)});
     }
     return strongest;
   }
+
+  // Draw the impulses: at their points, or beside each other as the camera sees them.
+  placeImpacts() {
+    const {stage, struck, impacts} = this, {camera} = stage, apart = this.apart() && struck.length > 1;
+    const seen = apart ? [...camera.position.toArray(), ...camera.quaternion.toArray(), stage.width, stage.height].join() : "";
+    if (seen === this.placed) { return; }
+    this.placed = seen;
+    const ends = [];
+    impacts.begin();
+    this.starts = apart ? this.besides() : struck.map(({point}) => point);
+    struck.forEach(({point, direction, length}, k) => {
+      impacts.add(this.starts[k], direction, length, IMPACT_COLOR);
+      if (this.starts[k] !== point) { ends.push(...point.toArray(), ...this.starts[k].toArray()); }
+    });
+    impacts.end();
+    this.leaders.geometry.dispose();
+    this.leaders.geometry = new THREE.BufferGeometry();
+    this.leaders.geometry.setAttribute("position", new THREE.Float32BufferAttribute(ends, 3));
+    this.leaders.visible = ends.length > 0;
+  }
+
+  // The boxes around the impulses [px].
+  boxes() {
+    const {stage} = this, point = new THREE.Vector3();
+    return this.struck.map(({direction, length}, k) => {
+      const [a, b] = [0, length].map(reach => point.copy(this.starts[k]).addScaledVector(direction, reach)
+        .project(stage.camera).toArray()).map(([x, y]) => [(0.5 + 0.5 * x) * stage.width, (0.5 - 0.5 * y) * stage.height]);
+      return {x: (a[0] + b[0]) / 2, y: (a[1] + b[1]) / 2, width: Math.abs(a[0] - b[0]) + 4, height: Math.abs(a[1] - b[1]) + 4};
+    });
+  }
+
+  // Where the impulses start such that none lies over another one, each as near to its point as the earlier ones leave
+  // room for.
+  besides() {
+    const {stage} = this, {camera} = stage, tip = new THREE.Vector3(), taken = [];
+    camera.updateMatrixWorld();
+    const pixel = place => place.project(camera) &&
+      [(0.5 + 0.5 * place.x) * stage.width, (0.5 - 0.5 * place.y) * stage.height];
+    const [right, up, ahead] = [0, 1, 2].map(axis => new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, axis));
+    return this.struck.map(({point, direction, length}) => {
+      const a = pixel(point.clone()), b = pixel(tip.copy(point).addScaledVector(direction, length));
+      const depth = -tip.copy(point).sub(camera.position).dot(ahead);
+      const perPixel = 2 * depth * Math.tan(camera.fov * Math.PI / 360) / stage.height;
+      const shift = freeShift(a, b, taken, stage.width, stage.height);
+      taken.push([a, b].map(end => [end[0] + shift[0], end[1] + shift[1]]));
+      if (!shift[0] && !shift[1]) { return point; }
+      return point.clone().addScaledVector(right, shift[0] * perPixel).addScaledVector(up, -shift[1] * perPixel);
+    });
+  }
+}
+
+// The shortest shift [px] of the arrow from a to b that leaves APART to all that are taken: to its sides first, then
+// around. None where there is no room in the picture.
+function freeShift(a, b, taken, width, height) {
+  const size = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1, across = [(a[1] - b[1]) / size, (b[0] - a[0]) / size];
+  const free = ([x, y]) => {
+    const moved = [a, b].map(end => [end[0] + x, end[1] + y]);
+    return moved.every(([u, v]) => u >= 0 && u <= width && v >= 0 && v <= height) &&
+      taken.every(other => between(...moved, ...other) >= APART);
+  };
+  if (taken.every(other => between(a, b, ...other) >= APART)) { return [0, 0]; }
+  for (let ring = 1; ring < 16; ++ring) {
+    for (let turn = 0; turn < 8; ++turn) {
+      const angle = Math.PI * [0, 4, 1, 7, 3, 5, 2, 6][turn] / 4, reach = APART * 1.05 * ring;
+      const [c, s] = [reach * Math.cos(angle), reach * Math.sin(angle)];
+      const shift = [c * across[0] - s * across[1], c * across[1] + s * across[0]];
+      if (free(shift)) { return shift; }
+    }
+  }
+  return [0, 0];
+}
+
+// The distance of two segments in the plane.
+function between(a, b, c, d) {
+  const turn = (p, q, r) => (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+  if (turn(a, b, c) * turn(a, b, d) < 0 && turn(c, d, a) * turn(c, d, b) < 0) { return 0; }
+  const toSegment = (p, q, r) => {
+    const [x, y] = [r[0] - q[0], r[1] - q[1]], square = x * x + y * y;
+    const share = square > 0 ? Math.max(0, Math.min(1, ((p[0] - q[0]) * x + (p[1] - q[1]) * y) / square)) : 0;
+    return Math.hypot(p[0] - q[0] - share * x, p[1] - q[1] - share * y);
+  };
+  return Math.min(toSegment(a, c, d), toSegment(b, c, d), toSegment(c, a, b), toSegment(d, a, b));
 }

@@ -130,9 +130,20 @@ class Stage {
       const edge = new THREE.LineSegments(new THREE.EdgesGeometry(flat),
         new THREE.LineBasicMaterial({color: GRID, transparent: true, opacity: 0.6}));
       edge.applyMatrix4(total);
+      edge.userData.endless = true;
       group.add(edge);
     }
     mesh.userData.endless = true;
+  }
+
+  // Leave ground and walls out, or let only the shadows on them be seen.
+  hideGround(shadows) {
+    this.scene.traverse(part => {
+      if (!part.userData.endless) { return; }
+      part.visible = shadows && part.isMesh;
+      if (part.visible) { part.material = new THREE.ShadowMaterial({opacity: 0.25, depthWrite: false}); }
+    });
+    this.draw();
   }
 
   // Corners in a plane's axes of what is in front of it, with a margin.
