@@ -16,7 +16,13 @@ import numpy as np
 from contactvi.errors import InputError, SceneError
 from contactvi.inputs import check_choice, flag, listed, positive, real, short, vector
 from contactvi.scene.body_adhesion import BodyAdhesion, adhesive_bodies
-from contactvi.scene.number_functions import NumberFunction, NumberTable, number_function
+from contactvi.scene.number_functions import (
+    NumberFunction,
+    NumberTable,
+    StateCallable,
+    number_function,
+    state_function,
+)
 from contactvi.scene.pair_rules import Rule, smaller
 
 RESTITUTION_LAWS = ("poisson", "newton", "energetic")
@@ -63,6 +69,7 @@ class PairLaw:
         spinning_radius: [m] of the friction of a point against spinning about its normal; 0: none.
         rolling_radius: [m] of that against rolling.
         restitution_of_speed: coefficient by the closing speed, instead of the pair's number.
+        restitution_of_state: coefficient by the closing speed, the slip before and the time, instead of it.
         static_friction: coefficient of what sticks; None: as of what slides.
         friction_of_speed: coefficient by the speed of the slip, instead of the pair's number.
         friction_axis: of friction that depends on its direction.
@@ -78,6 +85,7 @@ class PairLaw:
     spinning_radius: float = 0.0
     rolling_radius: float = 0.0
     restitution_of_speed: NumberFunction | None = None
+    restitution_of_state: StateCallable | None = None
     static_friction: float | None = None
     friction_of_speed: NumberFunction | None = None
     friction_axis: FrictionAxis | None = None
@@ -101,6 +109,9 @@ class PairLaw:
             "keeps_energy": self.limit_energy,
             "tangential": self.tangential_restitution,
             "e": of(self.restitution_of_speed, "restitution"),
+            "e_of_state": None
+            if self.restitution_of_state is None
+            else self.restitution_of_state.engine(f"the restitution of {pair[0]!r} and {pair[1]!r}"),
             "mu": of(self.friction_of_speed, "friction"),
             "static_mu": self.static_friction,
             "pull": of(pull, "adhesion"),
@@ -113,7 +124,9 @@ class PairLaw:
 
     def varies(self, kind: str) -> bool:
         """Whether the pair's "restitution" or "friction" depends on a speed, instead of being a number."""
-        return self.restitution_of_speed is not None if kind == "restitution" else self.rubs
+        if kind != "restitution":
+            return self.rubs
+        return self.restitution_of_speed is not None or self.restitution_of_state is not None
 
     @property
     def rubs(self) -> bool:
@@ -196,7 +209,8 @@ def _words(name: str, value: Any) -> str:
     if name == "adhesive":
         return ", ".join(adhesion.name.removeprefix("the ") for adhesion in value)
     speed = "the closing speed" if name.startswith("restitution") else "the speed of the slip"
-    for ending, of in (("_of_speed", speed), ("_of_time", "the time")):
+    state = "the closing speed, the slip and the time"
+    for ending, of in (("_of_speed", speed), ("_of_time", "the time"), ("_of_state", state)):
         if name.endswith(ending):
             return f"{name.removesuffix(ending)} by {of}"
     return f"{name.replace('_', ' ')} {value}"
@@ -207,7 +221,7 @@ DEFAULTS = {f.name: f.default for f in fields(PairLaw)}
 CONTACT_SETTINGS = (
     "restitution",
     "friction",
-    *(name for name in DEFAULTS if not name.endswith(("_of_speed", "_of_time")) and name != "adhesive"),
+    *(name for name in DEFAULTS if not name.endswith(("_of_speed", "_of_time", "_of_state")) and name != "adhesive"),
 )
 
 
@@ -234,7 +248,7 @@ def _is_function(value: Any, dimensions: int) -> bool:
 
 def checked_contact(
     rules: LawRules, first: Sequence[str] | None, restitution: Any, friction: Any, friction_axis: Any, adhesion: Any,
-    **settings: Any,
+    restitution_of_state: Any, **settings: Any,
 ) -> tuple[dict[str, float], dict[str, Any]]:  # fmt: skip
     """Return the numbers and the settings of laws that are given, checked; None: not given.
 
@@ -253,6 +267,17 @@ def checked_contact(
         numbers["restitution"] = real("restitution", restitution, 0.0, 1.0)
         if "restitution_of_speed" in rules.rules:
             laws["restitution_of_speed"] = None
+    if restitution_of_state is not None:
+        if restitution is not None:
+            raise InputError(
+                "Restitution is given twice", name="restitution_of_state", expected="one of restitution and "
+                "restitution_of_state", got="both", remedy="Leave one of them out",
+            )  # fmt: skip
+        laws["restitution_of_state"] = state_function("restitution_of_state", restitution_of_state)
+        if "restitution_of_speed" in rules.rules:
+            laws["restitution_of_speed"] = None
+    elif restitution is not None and "restitution_of_state" in rules.rules:
+        laws["restitution_of_state"] = None
     if np.ndim(friction) == 1 or friction_axis is not None:
         laws["friction_axis"] = _friction_axis(first, friction, friction_axis)
         numbers["friction"] = max(laws["friction_axis"].along, laws["friction_axis"].across)
@@ -344,6 +369,19 @@ class LawRules:
             if law != plain:
                 found.setdefault(law, []).append(k)
         return list(found.items())
+
+
+def check_restitution(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) -> None:
+    """Raise SceneError where restitution depends on a slip that is not known, or on two things."""
+    if law.restitution_of_state is None or (law.restitution_of_speed is None and float(np.min(friction)) > 0.0):
+        return
+    both = law.restitution_of_speed is not None
+    raise SceneError(
+        f"The restitution of {pair[0]!r} and {pair[1]!r} is not usable",
+        expected="one law of restitution" if both else "friction > 0, with which the slip of an impact is found",
+        got="a function of the speed of one side, one of the state of the other" if both else "friction 0",
+        remedy=f"scene.set_contact({pair[0]!r}, {pair[1]!r}, " + ("restitution=...)" if both else "friction=...)"),
+    )  # fmt: skip
 
 
 def check_friction(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) -> None:

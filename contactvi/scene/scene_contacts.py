@@ -50,6 +50,7 @@ class SceneContacts:
         tangential_restitution: float | None = None,
         spinning_radius: float | None = None,
         rolling_radius: float | None = None,
+        restitution_of_state: Callable[[float, float, float], float] | None = None,
     ) -> None:
         """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts, by default 0.5 and 0, and their laws.
 
@@ -90,6 +91,9 @@ class SceneContacts:
                 friction r_s times normal force.
             rolling_radius: r_r >= 0 [m], by default 0: friction against rolling, a torque along the tangents of at
                 most r_r times the normal force. Both radii need friction > 0.
+            restitution_of_state: restitution as a function of the closing speed, the speed of the slip before the
+                impact [m/s] and the time [s], with values in [0, 1], in place of restitution; it needs friction > 0,
+                with which that slip is found. Or a C function double(double, double, double) by its `address`.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -97,9 +101,9 @@ class SceneContacts:
         second = None if b is None else self._geometries(b, "b")
         rules = self._contact
         numbers, laws = checked_contact(
-            rules.laws, first, restitution, friction, friction_axis, adhesion, static_friction=static_friction,
-            restitution_law=restitution_law, impact_process=impact_process, limit_energy=limit_energy,
-            tangential_restitution=tangential_restitution, spinning_radius=spinning_radius,
+            rules.laws, first, restitution, friction, friction_axis, adhesion, restitution_of_state,
+            static_friction=static_friction, restitution_law=restitution_law, impact_process=impact_process,
+            limit_energy=limit_energy, tangential_restitution=tangential_restitution, spinning_radius=spinning_radius,
             rolling_radius=rolling_radius,
         )  # fmt: skip
         for what, value in numbers.items():

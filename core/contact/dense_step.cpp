@@ -6,6 +6,7 @@
 #include "base/tolerances.hpp"
 #include "cone/turning_law.hpp"
 #include "contact/dense_energy.hpp"
+#include "model/restitution.hpp"
 #include "step/path.hpp"
 #include "step/projection.hpp"
 
@@ -286,6 +287,19 @@ Vec3 DenseStep::end_tangent(const DenseContact& c) {
                                           : carried_tangent(c.t1_0, c.at0.normal, c.at1.normal);
 }
 
+// The speed with which active contact i closes at the start of the step, and the restitution of one that closes fast.
+void DenseStep::set_restitution(std::size_t i) {
+  DenseContact& c = candidates_.contacts()[active_[i]];
+  c.closing = rows_.velocity(i, 0, v0_);
+  const ContactLaw* law = scene_->law(c.point.guard);
+  const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
+  if (!(c.closing < -fast) || law == nullptr || !restitution_varies(*law)) return;
+  Vec3 slip = Vec3::Zero();
+  if (c.rows() > 1)
+    slip = c.frame(false).slip(Eigen::Vector2d(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_)) + c.drift0);
+  c.restitution = std::max(0.0, restitution_at(*law, -c.closing, slip.norm(), t_));
+}
+
 // The whole law, with the gaps linearised about the end of the present motion, then the gap iterations.
 bool DenseStep::position_problem() {
   std::vector<DenseContact>& all = candidates_.contacts();
@@ -326,7 +340,8 @@ bool DenseStep::position_problem() {
   if (adheres_) solver_.free_velocity(problem, pull_, v_free_, problem.v_free);
   BlockResult result;
   double last = INFINITY;
-  VecX from = problem.v_free, before = VecX::Zero(problem.rows());  // velocities, and the impulses with which they are
+  // Velocities, and the impulses with which they are, less those of adhesion.
+  VecX from = v_free_, before = adheres_ ? pull_ : VecX(VecX::Zero(problem.rows()));
   for (int k = 0;; ++k) {
     work_ = v_;
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
@@ -387,8 +402,7 @@ bool DenseStep::position_impulses() {
   report_.gap = candidates_.gap();
   // Points that joined after the last solution have no impulse: they do not overlap, or the step is refused.
   candidates_.contacts().resize(active_.size());
-  for (std::size_t i = 0; i < active_.size(); ++i)
-    candidates_.contacts()[active_[i]].closing = rows_.velocity(i, 0, v0_);
+  for (std::size_t i = 0; i < active_.size(); ++i) set_restitution(i);
   set_start_momentum();
   joint_friction_loss_ = -joint_friction_work(lambda_, v_);
   integrator_.set_start_momentum(p_start_);
@@ -454,8 +468,6 @@ void DenseStep::expand(double bound_energy) {
     DenseContact& c = candidates_.contacts()[active_[i]];
     BlockContact& block = problem.contacts[i];
     const double compression = c.position[0] + lambda_end_[block.row];
-    const ContactLaw* law = scene_->law(c.point.guard);
-    if (law != nullptr && law->e.given()) c.restitution = std::max(0.0, law->e(std::max(0.0, -c.closing)));
     c.expands = c.restitution > 0.0 && c.closing < -fast && compression > 0.0;
     if (c.expands) block.lower = c.restitution * compression;
     any |= c.expands;

@@ -145,6 +145,7 @@ class DenseStep {
   Vec3 end_tangent(const DenseContact& c);
   void set_friction();
   void set_pulls();
+  void set_restitution(std::size_t i);
   void pull_at_end();
   Eigen::Vector2d drift(const DenseContact& c, bool at_end);
   Vec3 turning_drift(const DenseContact& c, bool at_end);

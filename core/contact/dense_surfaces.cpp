@@ -12,7 +12,10 @@ namespace contactvi {
 void DenseStep::set_pulls() {
   adheres_ = false;
   std::vector<DenseContact>& all = candidates_.contacts();
-  for (DenseContact& c : all) c.pull.setZero();
+  for (DenseContact& c : all) {
+    c.pull.setZero();
+    c.pull_rate.setZero();
+  }
   if (std::none_of(scene_->laws.begin(), scene_->laws.end(), [](const ContactLaw& law) { return law.adheres(); }))
     return;
   pull_.setZero(rows_.problem().rows());
@@ -25,9 +28,16 @@ void DenseStep::set_pulls() {
     for (std::size_t i = 0; i < active_.size(); ++i)
       if (const ContactLaw* law = scene_->law(all[active_[i]].point.guard); law != nullptr && touches(all[active_[i]]))
         if (has(all[active_[i]].point.guard, *law)) points.push_back(i);
-    for (const std::size_t i : points)
-      for (int end = 0; end < 2; ++end)
-        all[active_[i]].pull[end] += 0.5 * h_ * std::max(0.0, pull(t_ + end * h_)) / static_cast<double>(points.size());
+    if (points.empty()) return;
+    for (int end = 0; end < 2; ++end) {
+      const double t = t_ + end * h_, now = pull(t), weight = 0.5 * h_ / static_cast<double>(points.size());
+      if (!(now > 0.0)) continue;
+      const double rate = recorder_ ? pull.slope(t) : 0.0;
+      for (const std::size_t i : points) {
+        all[active_[i]].pull[end] += weight * now;
+        all[active_[i]].pull_rate[end] += weight * rate;
+      }
+    }
   };
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const int guard = all[active_[i]].point.guard;
@@ -41,7 +51,10 @@ void DenseStep::set_pulls() {
           [body](int, const ContactLaw& law) { return law.body_pulls[0] == body || law.body_pulls[1] == body; });
   for (std::size_t i = 0; i < active_.size(); ++i) {
     DenseContact& c = all[active_[i]];
-    if (rows_.velocity(i, 0, v0_) > c.pull.sum() * mobility_[i]) c.pull.setZero();
+    if (rows_.velocity(i, 0, v0_) > c.pull.sum() * mobility_[i]) {
+      c.pull.setZero();
+      c.pull_rate.setZero();
+    }
     pull_[rows_.block(i).row] = c.pull[0];
     adheres_ |= c.pull.sum() > 0.0;
   }
