@@ -187,9 +187,11 @@ def build(
         if law.restitution_of_speed is not None:
             restitution[places] = law.restitution_of_speed.at(1.0, "a law of restitution")
         if law.restitution_of_state is not None:
-            restitution[places] = law.restitution_of_state.at(1.0, 0.0, 0.0, "a law of restitution")
+            restitution[places] = law.restitution_of_state.values(np.array([[1.0, 0.0, 0.0]]))[0]
         if law.friction_of_speed is not None:
             friction[places] = law.friction_of_speed.at(0.0, "a law of friction")
+        if law.friction_of_state is not None:  # that of what begins to slide under 1 N, larger than zero
+            friction[places] = max(1e-9, law.friction_of_state.values(np.array([[0.0, 1.0, 0.0]]))[0])
         check_friction(law, friction[places], tested_pairs[places[0]])
         check_restitution(law, friction[places], tested_pairs[places[0]])
         if law.turning and not friction[places].all():

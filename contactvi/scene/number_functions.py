@@ -70,50 +70,6 @@ class NumberCallable:
 NumberFunction = NumberTable | NumberCallable
 
 
-@dataclass(frozen=True)
-class StateCallable:
-    """A coefficient in [0, 1] of the state of a contact: closing speed, slip [m/s], time [s].
-
-    By a function of Python, or compiled, by the address of a C function double f(double, double, double).
-    """
-
-    function: Callable[[float, float, float], float]
-    storable = False
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> StateCallable:
-        """Return itself: a constant, whose function need not be one that can be copied."""
-        return self
-
-    def at(self, closing: float, slip: float, t: float, name: str) -> float:
-        """Return the coefficient; `name` is for the messages of what goes wrong in the function."""
-        value = called(self.function, name, t, closing, slip, t)
-        result = float(checked(value, name, t, (), "one number"))
-        if not 0.0 <= result <= 1.0:
-            raise UserFunctionError(
-                f"{name} is outside of its range at {closing:.6g} m/s", function=name, time=t,
-                expected="a number in [0, 1], or it would make energy", got=f"{result:.6g}",
-                remedy="Correct the function, or clip what it returns",
-            )  # fmt: skip
-        return result
-
-    def engine(self, name: str) -> Any:
-        """Return it as the engine takes it; `name` is for the messages of what goes wrong in it."""
-        address = getattr(self.function, "address", None)
-        if isinstance(address, int):
-            return address
-        return lambda closing, slip, t: self.at(closing, slip, t, name)
-
-
-def state_function(name: str, value: Any) -> StateCallable:
-    """Return a checked coefficient of the state of a contact; InputError for what is no function."""
-    if not callable(value):
-        raise InputError(
-            f"{name} is no function", name=name, expected="a function of (closing speed, slip, time)", got=short(value),
-            remedy=f"For example {name}=lambda closing, slip, t: 0.8 / (1 + slip)",
-        )  # fmt: skip
-    return StateCallable(value)
-
-
 def number_function(name: str, value: Any, low: float, high: float, unit: str = "m/s") -> NumberFunction:
     """Return a checked number that depends on a speed or on the time, with values in [low, high].
 

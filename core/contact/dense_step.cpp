@@ -17,14 +17,18 @@ constexpr int kStageIterations = 40;
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
 constexpr int kGapIterations = 30, kFirstGapIterations = 3;
-constexpr double kGapSolved = 1e-11;       // [m] to which gaps of loaded contacts are zero
-constexpr double kGapStalled = 0.9;        // share of the error that an iteration after the first ones may leave
-constexpr int kLawRounds = 4;              // times that the whole law is solved again for loaded gaps that open
-constexpr double kLawStalled = 0.5;        // share of the widest such gap that a round may leave
-constexpr double kNormalsSolved = 1e-12;   // residual of the normal problem in a gap iteration
-constexpr int kAdditions = 16;             // times that points join the candidates of one step
-constexpr double kTouching = 1e-11;        // [m] a closed point without load takes part in the velocity impulse
-constexpr double kFastFall = 4.0;          // contacts that close faster than this many g h have restitution
+constexpr double kGapSolved = 1e-11;      // [m] to which gaps of loaded contacts are zero
+constexpr double kGapStalled = 0.9;       // share of the error that an iteration after the first ones may leave
+constexpr int kLawRounds = 4;             // times that the whole law is solved again for loaded gaps that open
+constexpr double kLawStalled = 0.5;       // share of the widest such gap that a round may leave
+constexpr double kNormalsSolved = 1e-12;  // residual of the normal problem in a gap iteration
+constexpr int kAdditions = 16;            // times that points join the candidates of one step
+constexpr double kTouching = 1e-11;       // [m] a closed point without load takes part in the velocity impulse
+constexpr double kFastFall = 4.0;         // contacts that close faster than this many g h have restitution
+// Coefficients of friction that depend on the forces of a problem are found with them in so many rounds at most, to this
+// of themselves, which is below the error of the law.
+constexpr double kFrictionNear = 1e-6;
+constexpr int kFrictionRounds = 16, kWholeRounds = 2;
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
@@ -96,7 +100,28 @@ void DenseStep::note(const BlockResult& result) {
 // The whole law of the present problem from the impulses lambda_, for the velocity v, with the constraints of a node.
 BlockResult DenseStep::solve_law(double bound_energy, VecX& v, const Constraints& node) {
   if (problems_) problems_->add(ProblemLog::Blocks{rows_.problem(), node.W, lambda_, bound_energy});
-  const BlockResult result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
+  BlockResult result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
+  if (follows_forces_) {
+    FrictionRounds rounds(kFrictionNear, kFrictionRounds);
+    double off = 0.0;  // what the last change of the coefficients is worth, as a speed
+    for (int k = 0;; ++k) {
+      VecX before(static_cast<Eigen::Index>(active_.size()));
+      for (std::size_t i = 0; i < active_.size(); ++i)
+        before[static_cast<Eigen::Index>(i)] = candidates_.contacts()[active_[i]].mu;
+      const double change = follow_forces();
+      off = 0.0;
+      for (std::size_t i = 0; i < active_.size(); ++i) {
+        double& mu = candidates_.contacts()[active_[i]].mu;
+        const double old = before[static_cast<Eigen::Index>(i)];
+        off = std::max(off, std::abs(mu - old) * lambda_[rows_.block(i).row] * rows_.mobility(i));
+        // Points that share a load may pass it to and fro: from then on half of the way.
+        if (k >= kWholeRounds && mu > 0.0) rows_.problem().contacts[i].mu = mu = std::sqrt(mu * old);
+      }
+      if (!rounds.go_on(change)) break;
+      result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
+    }
+    if (!rounds.settled()) result.residual = std::max(result.residual, off / result.scale);
+  }
   note(result);
   return result;
 }

@@ -60,19 +60,42 @@ void DenseStep::set_pulls() {
   }
 }
 
-// Friction that depends on the slip is that of its speed at the start of the step.
+// Friction that depends on the slip is that of its speed at the start of the step. All contacts are active.
 void DenseStep::set_friction() {
-  if (scene_->laws.empty()) return;
+  follows_forces_ = false;
+  const auto varies = [this](int k) { return scene_->friction_varies(candidates_.contacts()[k].point.guard); };
+  if (scene_->laws.empty() || std::none_of(active_.begin(), active_.end(), varies)) return;
+  friction_states_.clear();
   for (std::size_t i = 0; i < active_.size(); ++i) {
-    DenseContact& c = candidates_.contacts()[active_[i]];
+    const DenseContact& c = candidates_.contacts()[active_[i]];
     const int guard = c.point.guard;
+    friction_states_.push_back({guard, true, 0.0, 2.0 * c.position[0] / h_, t_, c.mu});
     if (c.rows() == 1 || !scene_->friction_varies(guard)) continue;
     const Eigen::Vector2d w(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_));
-    const double slip = c.frame(false).slip(w + c.drift0).norm();
-    const bool sticks = slip <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
-    c.mu = sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, slip);
+    FrictionState& state = friction_states_.back();
+    state.slip = c.frame(false).slip(w + c.drift0).norm();
+    state.sticks = state.slip <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+    follows_forces_ |= scene_->friction_by_state(guard);
+  }
+  contactvi::set_friction(*scene_, friction_states_);
+  for (std::size_t i = 0; i < active_.size(); ++i)
+    rows_.problem().contacts[i].mu = candidates_.contacts()[active_[i]].mu = friction_states_[i].mu;
+}
+
+// By how much of themselves coefficients of friction change with the impulses of the present problem, each of which
+// acts for half of the step. An impact is a force that is the larger the shorter the step.
+double DenseStep::follow_forces() {
+  for (std::size_t i = 0; i < active_.size(); ++i)
+    friction_states_[static_cast<std::size_t>(active_[i])].normal = 2.0 * lambda_[rows_.block(i).row] / h_;
+  contactvi::set_friction(*scene_, friction_states_);
+  double change = 0.0;
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    DenseContact& c = candidates_.contacts()[active_[i]];
+    if (c.rows() == 1) continue;
+    change = FrictionRounds::larger(change, friction_states_[static_cast<std::size_t>(active_[i])].mu, c.mu);
     rows_.problem().contacts[i].mu = c.mu;
   }
+  return change;
 }
 
 // What surfaces that move along themselves add to the tangential velocities of a contact, where the bodies are placed.

@@ -47,25 +47,4 @@ double NumberFunction::slope(double place) const {
   return sum / (kDifferenceParts * step);
 }
 
-Vec3 StateFunction::slopes(double first, double second, double third) const {
-  const double at[3] = {first, second, third};
-  Vec3 found;
-  for (int k = 0; k < 3; ++k) {
-    const double step = std::max(kStep * std::abs(at[k]), kLeastStep);
-    const auto value = [&](double by) {
-      double moved[3] = {first, second, third};
-      moved[k] += by;
-      return value_(moved[0], moved[1], moved[2]);
-    };
-    double sum = 0.0;
-    if (k == 2 || at[k] > 2.0 * step) {
-      for (const DifferenceTerm& term : kDifference) sum += term.weight * value(term.count * step);
-    } else {  // it is not negative
-      for (int i = 0; i < 5; ++i) sum -= kOneSided[i] * value(i * step);
-    }
-    found[k] = sum / (kDifferenceParts * step);
-  }
-  return found;
-}
-
 }  // namespace contactvi

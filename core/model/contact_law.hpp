@@ -2,12 +2,14 @@
 #pragma once
 
 #include <functional>
-#include <utility>
+#include <memory>
 #include <vector>
 
 #include "base/numerics.hpp"
 
 namespace contactvi {
+
+class ContactFunction;  // model/contact_function.hpp
 
 // A number that depends on another one >= 0, a speed [m/s] or a time [s]: straight lines between the places of a table,
 // constant beyond its ends, or a function of the user.
@@ -33,23 +35,6 @@ class NumberFunction {
   std::function<double(double)> function_;
 };
 
-// A number that a function of the user gives for three numbers of the state of a contact. Its derivatives are by
-// differences.
-class StateFunction {
- public:
-  using Value = std::function<double(double, double, double)>;
-  StateFunction() = default;
-  explicit StateFunction(Value value) : value_(std::move(value)) {}
-
-  bool given() const { return value_ != nullptr; }
-  double operator()(double first, double second, double third) const { return value_(first, second, third); }
-  // The derivatives by the three; the first two are not negative.
-  Vec3 slopes(double first, double second, double third) const;
-
- private:
-  Value value_;
-};
-
 // What the coefficient e of restitution is the ratio of: of impulses (Poisson), of speeds (Newton), of the square root
 // of works (Stronge, "Impact mechanics", 2000).
 enum class RestitutionLaw : int { kPoisson = 0, kNewton = 1, kEnergetic = 2 };
@@ -60,13 +45,15 @@ struct ContactLaw {
   bool incremental = false;
   // Restitution is lowered where it would make energy.
   bool keeps_energy = true;
-  double tangential = 0.0;    // of the slip, where friction holds it
-  NumberFunction e;           // of the closing speed, instead of the pair's number
-  StateFunction e_of_state;   // of the closing speed, the speed of the slip before, and the time, instead of e
-  NumberFunction mu;          // friction of the speed of the slip, instead of the pair's number
-  StateFunction mu_of_state;  // of the speed of the slip, the normal force, and the time, instead of mu
-  double static_mu = -1.0;    // friction of what sticks; -1: as that of what slides
-  NumberFunction pull;        // adhesion by the time [N], shared by the points that touch
+  double tangential = 0.0;  // of the slip, where friction holds it
+  NumberFunction e;         // of the closing speed, instead of the pair's number
+  // Of the closing speed, the speed of the slip before the impact, and the time, instead of e.
+  std::shared_ptr<const ContactFunction> e_of_state;
+  NumberFunction mu;  // friction of the speed of the slip, instead of the pair's number
+  // Of the speed of the slip, the normal force, and the time, instead of mu: see friction_state.hpp.
+  std::shared_ptr<const ContactFunction> mu_of_state;
+  double static_mu = -1.0;  // friction of what sticks; -1: as that of what slides
+  NumberFunction pull;      // adhesion by the time [N], shared by the points that touch
   // Adhesion of its bodies besides, in Scene::body_pulls; -1: none.
   int body_pulls[2] = {-1, -1};
   // Friction that depends on its direction: the axis of the shares, in the frame of the first or the second geometry of

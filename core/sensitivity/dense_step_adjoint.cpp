@@ -144,8 +144,9 @@ void DenseStepAdjoint::pass_coefficients(const VecX& lmu, const VecX& le, MatX& 
       lW0.col(r) += l * t.v0_;
       lv0_ += l * s.W0.col(r);
     }
-    if (c.mu_by_slip.isZero(0.0)) continue;
-    const Eigen::Vector2d l = lmu[k] * c.mu_by_slip;
+    lt_ += c.e_by_time * le[k];
+    if (c.mu_by_slip.isZero(0.0) && c.e_by_slip.isZero(0.0)) continue;
+    const Eigen::Vector2d l = lmu[k] * c.mu_by_slip + le[k] * c.e_by_slip;
     lW0.middleCols<2>(r + 1) += t.v0_ * l.transpose();
     lv0_ += s.W0.middleCols<2>(r + 1) * l;
     lown0.segment<2>(r + 1) += l;

@@ -196,10 +196,12 @@ void DenseStepTangent::coefficient_changes(const DenseStepDirection& d) {
     if (c.own_mu && d.mu.size() > 0) dmu_[i] = d.mu[i];
     if (c.own_e && d.e.size() > 0) de_[i] = d.e[i];
     if (c.e_by_closing != 0.0) de_[i] += c.e_by_closing * (dW0_.col(r).dot(v0_) + s.W0.col(r).dot(dv0_));
-    if (c.mu_by_slip.isZero(0.0) && std::isinf(c.without_rest)) continue;
+    de_[i] += c.e_by_time * d.t;
+    if (c.mu_by_slip.isZero(0.0) && c.e_by_slip.isZero(0.0) && std::isinf(c.without_rest)) continue;
     const Eigen::Vector2d dslip = dW0_.middleCols<2>(r + 1).transpose() * v0_ +
                                   s.W0.middleCols<2>(r + 1).transpose() * dv0_ + down0_.segment<2>(r + 1);
     dmu_[i] += c.mu_by_slip.dot(dslip);
+    de_[i] += c.e_by_slip.dot(dslip);
     if (!std::isinf(c.without_rest)) check_rest(d, static_cast<std::size_t>(i), dslip);
   }
 }

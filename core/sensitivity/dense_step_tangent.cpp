@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "model/restitution.hpp"
 #include "sensitivity/kinks.hpp"
 #include "sensitivity/known_laws.hpp"
 #include "step/energy.hpp"
@@ -55,11 +56,8 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   has_friction_ = !step.joints.empty();
   for (const DenseStepRecord::Contact& c : step.contacts) {
     has_friction_ |= c.mu > 0.0;
+    refuse_friction_by_state(*scene_, c.point.guard, step.t);
     const ContactLaw* law = scene_->law(c.point.guard);
-    if (law != nullptr && law->e_of_state.given() && c.expands)
-      refuse("law", c.point.guard, "A dense step has a law of restitution without a derivative there",
-             "restitution by the closing speed alone, where events accumulate", "restitution by the slip and the time",
-             "Use contact_mode='events', or restitution= a function of the speed");
     if (law != nullptr && law->adheres() && !c.knows_pull)
       refuse("law", c.point.guard, "The file of the run does not keep the adhesion of its dense steps",
              "a run of this version", "one of an earlier version", "Make the run again");
@@ -206,15 +204,23 @@ void DenseStepTangent::take_coefficients() {
     const ContactLaw* law = scene_->law(guard);
     if (law == nullptr) continue;
     Coefficients& found = coefficients_[i];
-    if (law->e.given()) {
+    const Eigen::Array2d shares = start_[i].contact.shares();
+    Eigen::Vector2d slip = Eigen::Vector2d::Zero();
+    if (c.mu > 0.0) {
+      const Eigen::Vector2d w = s.W0.middleCols<2>(c.row + 1).transpose() * v0_ + own0_.segment<2>(c.row + 1);
+      slip = w.array() / shares;
+    }
+    if (restitution_varies(*law)) {
       const double closing = -s.W0.col(c.row).dot(v0_);
       found.own_e = false;
-      if (closing > 0.0 && c.restitution > 0.0) found.e_by_closing = -law->e.slope(closing);
+      if (closing > 0.0 && c.restitution > 0.0 && (law->e.given() || c.expands)) {
+        const Vec3 slopes = restitution_slopes(*law, closing, slip.norm(), s.t);
+        found.e_by_closing = -slopes[0];
+        if (slip.norm() > 0.0) found.e_by_slip = slopes[1] * (slip.normalized().array() / shares).matrix();
+        found.e_by_time = slopes[2];
+      }
     }
     if (c.mu == 0.0 || !scene_->friction_varies(guard)) continue;
-    const Eigen::Array2d shares = start_[i].contact.shares();
-    const Eigen::Vector2d w = s.W0.middleCols<2>(c.row + 1).transpose() * v0_ + own0_.segment<2>(c.row + 1);
-    const Eigen::Vector2d slip = w.array() / shares;
     const bool sticks = slip.norm() <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
     found.own_mu = takes_friction(*scene_, guard, sticks);
     // What carries a load from the last step sticks at its end along all directions.

@@ -89,7 +89,8 @@ class DenseStepTangent {
   struct Coefficients {
     bool own_mu = true, own_e = true;
     Eigen::Vector2d mu_by_slip = Eigen::Vector2d::Zero();
-    double e_by_closing = 0.0;
+    double e_by_closing = 0.0, e_by_time = 0.0;
+    Eigen::Vector2d e_by_slip = Eigen::Vector2d::Zero();
     double without_rest =
         INFINITY;  // friction of a contact at rest if that were not larger than that of one that slides
   };

@@ -33,9 +33,9 @@ def speeds(scene: cvi.Scene) -> np.ndarray:
 def test_the_first_impacts(law):
     """A ball: the normal impulse is apart from friction, so that gamma+ = -e gamma- whatever the slip is."""
     scene = thrown(restitution_law=law)
-    traj = cvi.simulate(scene, None, speeds(scene), 0.8, dt=0.01, order=4)
+    traj = cvi.simulate(scene, None, 3.0 * speeds(scene), 0.8, dt=0.01, order=4)
     assert len(traj.events) >= 2
-    closing, slip, t = np.sqrt(2.0 * G * 0.2), np.hypot(1.5, 0.4), np.sqrt(0.4 / G)
+    closing, slip, t = np.sqrt(2.0 * G * 0.2), 3.0 * np.hypot(1.5, 0.4), np.sqrt(0.4 / G)
     for event in list(traj.events)[:2]:
         e = coefficient(closing, slip, t)
         assert event.gamma_minus == pytest.approx(-closing, rel=1e-9)
@@ -60,29 +60,39 @@ def test_in_a_dense_step():
     assert errors[1] <= 0.03
 
 
+def slopes(closing, slip, t):
+    """The derivatives of coefficient()."""
+    e = coefficient(closing, slip, t)
+    by_time = -0.2 * np.sin(t) / (0.8 + 0.2 * np.cos(t))
+    return -0.1 * e / (1.0 + 0.1 * closing), -0.2 * e / (1.0 + 0.2 * slip), e * by_time
+
+
 class Compiled:
-    """A function of Python that is one of C, too, as numba.cfunc makes them."""
+    """A function of Python that is one of C, as numba.cfunc makes them."""
 
-    def __init__(self, function):
-        kind = ctypes.CFUNCTYPE(*[ctypes.c_double] * 4)
-        self._function, self._kept = function, kind(function)
+    def __init__(self):
+        double = ctypes.c_double
+
+        def law(closing, slip, t, values):
+            values[0] = coefficient(closing, slip, t)
+            values[1], values[2], values[3] = slopes(closing, slip, t)
+
+        self._kept = ctypes.CFUNCTYPE(None, double, double, double, ctypes.POINTER(double))(law)
         self.address = ctypes.cast(self._kept, ctypes.c_void_p).value
-
-    def __call__(self, *numbers):
-        return self._function(*numbers)
 
 
 def test_a_compiled_function():
     runs = []
-    for law in (coefficient, Compiled(coefficient)):
+    for law in (coefficient, Compiled()):
         scene = thrown(law)
         runs.append(cvi.simulate(scene, None, speeds(scene), 0.6, dt=0.01, order=2).q)
     assert np.array_equal(*runs)
 
 
+@pytest.mark.parametrize("law", [coefficient, (coefficient, slopes), Compiled()], ids=["plain", "given", "compiled"])
 @pytest.mark.parametrize("order", [2, 4])
-def test_derivatives_are_those_of_differences(order):
-    scene = thrown()
+def test_derivatives_are_those_of_differences(order, law):
+    scene = thrown(law)
     q, v = scene.neutral(), speeds(scene)
     weights, none = np.linspace(0.5, 1.5, 6), np.zeros(6)
 
@@ -118,9 +128,34 @@ def test_what_is_refused():
     scene.set_contact("ball", "ground", friction=0.0)
     with pytest.raises(cvi.SceneError, match="friction 0"):
         scene.built()
-    gains = thrown(lambda closing, slip, t: 0.5 + 0.4 * closing)
     with pytest.raises(cvi.UserFunctionError, match="outside of its range"):
-        cvi.simulate(gains, None, speeds(gains), 0.3, dt=0.01)
+        thrown(lambda closing, slip, t: 0.5 + 0.4 * closing)
+    with pytest.raises(cvi.InputError, match="derivatives of the law of restitution are not its own"):
+        thrown((coefficient, lambda closing, slip, t: (0.0 * t, 0.0 * t, 0.0 * t)))
+    with pytest.raises(cvi.UserFunctionError, match="failed"):
+        thrown(lambda closing, slip, t: 0.5 if slip > 0.1 else 0.6)  # not of arrays
+    # Where it was tried it is one; beyond it ends the run, wherever the steps are.
+    for options in ({}, {"contact_mode": "steps"}):
+        later = thrown(lambda closing, slip, t: np.where(t > 0.19, 1.5, 0.5))
+        with pytest.raises(cvi.UserFunctionError, match="outside of its range"):
+            cvi.simulate(later, None, speeds(later), 0.4, dt=0.002, **options)
+
+
+def test_no_nonsense_is_asked():
+    """All that the function is given is finite, and speeds are not negative."""
+    asked = []
+
+    def law(*numbers):
+        asked.append(np.stack(numbers))
+        return coefficient(*numbers)
+
+    for options in ({"order": 4}, {"contact_mode": "steps"}):
+        scene = thrown(law)
+        asked.clear()
+        cvi.simulate(scene, None, speeds(scene), 0.8, dt=0.005, **options)
+        numbers = np.concatenate(asked, axis=1)
+        assert np.isfinite(numbers).all()
+        assert numbers[:2].min() >= 0.0
 
 
 def test_a_stored_scene_lists_it_as_missing():
