@@ -31,7 +31,9 @@ def body(shape: str, gravity: list[float], friction: float, **contact) -> Start:
     q = pin.integrate(scene.model, pin.neutral(scene.model), turned)
     up = pin.Quaternion(q[3:7]).matrix()[2]
     q[2] = (0.1 if shape == "ball" else np.abs(up) @ [0.1, 0.15, 0.125]) + 0.001
-    return scene, q, np.array([0.3, -0.2, -0.1, 0.5, 1.0, -0.4])
+    v = np.array([0.3, -0.2, -0.1, 0.5, 1.0, -0.4])
+    v[:3] = pin.Quaternion(q[3:7]).matrix().T @ v[:3]  # down, in the axes of the body
+    return scene, q, v
 
 
 def two_balls() -> Start:

@@ -55,7 +55,8 @@ def test_in_a_dense_step():
         traj = cvi.simulate(scene, None, speeds(scene), 0.3, dt=dt, contact_mode="steps")
         e = coefficient(np.sqrt(2.0 * G * 0.2), np.hypot(1.5, 0.4), np.sqrt(0.4 / G))
         left = np.sqrt(2.0 * G * 0.2) * e - G * (0.3 - np.sqrt(0.4 / G))
-        errors.append(abs(traj.v[-1, 2] - left))
+        up = pin.Quaternion(traj.q[-1, 3:7]).matrix()[2]  # in the axes of the ball, which friction has turned
+        errors.append(abs(up @ traj.v[-1, :3] - left))
     assert errors[0] <= 0.05
     assert errors[1] <= 0.03
 
@@ -98,7 +99,7 @@ def test_derivatives_are_those_of_differences(order, law):
 
     def run(dq, dv, **options):
         start = pin.integrate(scene.model, q, dq)
-        return cvi.simulate(scene, start, v + dv, 0.45, dt=5e-3, order=order, solver_tol=1e-14, **options)
+        return cvi.simulate(scene, start, v + dv, 0.4, dt=5e-3, order=order, solver_tol=1e-14, **options)
 
     traj = run(none, none, record="gradient")
     assert len(traj.events) == 1
@@ -136,9 +137,9 @@ def test_what_is_refused():
         thrown(lambda closing, slip, t: 0.5 if slip > 0.1 else 0.6)  # not of arrays
     # Where it was tried it is one; beyond it ends the run, wherever the steps are.
     for options in ({}, {"contact_mode": "steps"}):
-        later = thrown(lambda closing, slip, t: np.where(t > 0.19, 1.5, 0.5))
+        later = thrown(lambda closing, slip, t: np.where(t > 0.31, 1.5, 0.5))
         with pytest.raises(cvi.UserFunctionError, match="outside of its range"):
-            cvi.simulate(later, None, speeds(later), 0.4, dt=0.002, **options)
+            cvi.simulate(later, None, speeds(later), 0.5, dt=0.002, **options)
 
 
 def test_no_nonsense_is_asked():
