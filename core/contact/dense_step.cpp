@@ -25,8 +25,9 @@ constexpr double kNormalsSolved = 1e-12;  // residual of the normal problem in a
 constexpr int kAdditions = 16;            // times that points join the candidates of one step
 constexpr double kTouching = 1e-11;       // [m] a closed point without load takes part in the velocity impulse
 constexpr double kFastFall = 4.0;         // contacts that close faster than this many g h have restitution
-// Coefficients of friction that depend on the forces of a problem are found with them in so many rounds at most, to this
-// of themselves, which is below the error of the law.
+// Coefficients of friction that depend on the forces of a problem are found with them in so many rounds at most, to
+// this of themselves, which is below the error of the law. Contacts may pass a load to and fro: after the first rounds
+// they go half of the way.
 constexpr double kFrictionNear = 1e-6;
 constexpr int kFrictionRounds = 16, kWholeRounds = 2;
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it

@@ -7,8 +7,8 @@
 
 namespace contactvi {
 
-// A contact of a guard, and its coefficient: on input the one that it keeps where it is not pressed, because no friction
-// tells then what it is.
+// A contact of a guard, and its coefficient: on input the one that it keeps where it is not pressed, because no
+// friction tells then what it is.
 struct FrictionState {
   int guard;
   bool sticks;

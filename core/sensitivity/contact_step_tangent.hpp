@@ -68,8 +68,8 @@ class ContactStepTangent {
  private:
   friend class ContactStepAdjoint;                  // its transpose, from the same parts
   enum class Mode { kOpen, kStick, kKept, kSlip };  // kKept: slips along a given direction
-  // A coefficient of friction, with its derivatives by the slip over the step, by the force that an impulse is over half
-  // of the step, and by the time.
+  // A coefficient of friction, with its derivatives by the slip over the step, by the force that an impulse is over
+  // half of the step, and by the time.
   struct Coefficient {
     double mu = 1.0, by_slip = 0.0, by_normal = 0.0, by_time = 0.0;
   };

@@ -91,8 +91,8 @@ class EndForce {
   bool any_adhesion_ = false;
   VecX weights_;  // of the forces of the rows in the force
   VecX mu_;
-  // Of the rows, at the last evaluation; measured_: the forces, where something sticks with a coefficient that depends on
-  // its force the bound on its friction in the place of that.
+  // Of the rows, at the last evaluation; measured_: the forces, where something sticks with a coefficient that depends
+  // on its force the bound on its friction in the place of that.
   VecX forces_, accelerations_, measured_;
   MatX W_, dW_, A_;
   VecX v_, a_;

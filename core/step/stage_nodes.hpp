@@ -48,8 +48,8 @@ class StageNodes {
   void place(Node& node, int number);
   // The directions of the slips at a node, and what follows from them.
   void direct(Node& node, int number);
-  // The coefficients at nodes from one to another one, where they depend on the slips and the forces there. Whether some
-  // has changed by more than rounding.
+  // The coefficients at nodes from one to another one, where they depend on the slips and the forces there. Whether
+  // some has changed by more than rounding.
   bool follow_slips(int from, int to);
   // Where they depend on the forces: the same with the impulses as they are, and the directions of what they act along.
   void follow_forces();
