@@ -330,9 +330,9 @@ class Scene:
         Let two geometries press on each other by a law of their gap; see core/model/elements.hpp. functions: the numbers of those of force, energy and bound on friction (add_contact_function), -1: none.
         """
 
-    def add_contact_function(self, function: int | Callable[[object, bool], object], of_one: bool) -> int:
+    def add_contact_function(self, function: int | Callable[[object, bool], object], numbers: int) -> int:
         """
-        Adds a function of two numbers of contacts, of rows (n, 2) and whether derivatives are wanted, which returns rows of the value (n, 1) or value and derivatives (n, 3); or the address of a C function void(double, double, double[3]), of one number that of double(double). Returns its number.
+        Adds a function of `numbers` numbers of contacts, of rows (n, 2) or (n, 3) and whether derivatives are wanted, which returns rows of the value (n, 1) or value and derivatives (n, 3) or (n, 4); or the address of a C function void(double, double, double[3]), void(double, double, double, double[4]), of one number double(double). Returns its number.
         """
 
     def compliant_contacts(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
@@ -398,9 +398,9 @@ class Scene:
     def constraint_rate(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """d phi/dt at fixed q, (m,)."""
 
-    def set_contact_law(self, pairs: Sequence[int], restitution: int, incremental: bool, keeps_energy: bool, tangential: float, e: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, mu: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, static_mu: float | None, pull: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, axis_of: int, axis: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], shares: Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')], spinning: float, rolling: float, body_pulls: Sequence[int]) -> None:
+    def set_contact_law(self, pairs: Sequence[int], restitution: int, incremental: bool, keeps_energy: bool, tangential: float, e: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, mu: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, static_mu: float | None, pull: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float] | None, axis_of: int, axis: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], shares: Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')], spinning: float, rolling: float, body_pulls: Sequence[int], e_of_state: int | None, mu_of_state: int | None) -> None:
         """
-        Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution; e as a function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis along which and across which friction has its shares; radii [m] of the friction against spinning and rolling; the numbers of the adhesion of its bodies (add_body_pull).
+        Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is followed through its impulse, whether e is lowered so that no energy is made, tangential restitution; e as a function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis along which and across which friction has its shares; radii [m] of the friction against spinning and rolling; the numbers of the adhesion of its bodies (add_body_pull); e by the closing speed, the slip before and the time, friction by the slip, the normal force and the time (numbers of functions of three numbers that add_contact_function returned, or None).
         """
 
     def add_body_pull(self, pull: tuple[Sequence[float], Sequence[float]] | int | Callable[[float], float]) -> None:

@@ -17,7 +17,7 @@ from contactvi.importing.given_surfaces import GivenSurface
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
 from contactvi.scene.compliance import compliance_rows
-from contactvi.scene.contact_laws import PairLaw, check_friction
+from contactvi.scene.contact_laws import PairLaw, check_friction, check_restitution
 from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.element_rows import Resolved, resolve
 from contactvi.scene.engine import EngineScene, make_engine_scene
@@ -186,9 +186,14 @@ def build(
     for law, places in laws:
         if law.restitution_of_speed is not None:
             restitution[places] = law.restitution_of_speed.at(1.0, "a law of restitution")
+        if law.restitution_of_state is not None:
+            restitution[places] = law.restitution_of_state.values(np.array([[1.0, 0.0, 0.0]]))[0]
         if law.friction_of_speed is not None:
             friction[places] = law.friction_of_speed.at(0.0, "a law of friction")
+        if law.friction_of_state is not None:  # that of what begins to slide under 1 N, larger than zero
+            friction[places] = max(1e-9, law.friction_of_state.values(np.array([[0.0, 1.0, 0.0]]))[0])
         check_friction(law, friction[places], tested_pairs[places[0]])
+        check_restitution(law, friction[places], tested_pairs[places[0]])
         if law.turning and not friction[places].all():
             a, b = tested_pairs[places[int(np.argmin(friction[places]))]]
             raise SceneError(

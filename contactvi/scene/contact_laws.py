@@ -7,7 +7,7 @@ law, and cost nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -16,11 +16,21 @@ import numpy as np
 from contactvi.errors import InputError, SceneError
 from contactvi.inputs import check_choice, flag, listed, positive, real, short, vector
 from contactvi.scene.body_adhesion import BodyAdhesion, adhesive_bodies
+from contactvi.scene.contact_functions import CLOSING, NORMAL, SLIP, TIME, ContactFunction, state_law
 from contactvi.scene.number_functions import NumberFunction, NumberTable, number_function
 from contactvi.scene.pair_rules import Rule, smaller
 
 RESTITUTION_LAWS = ("poisson", "newton", "energetic")
 IMPACT_PROCESSES = ("two-phase", "incremental")
+_SLIPS, _TIMES = (0.0, 1e-3, 0.03, 0.2, 1.0), (0.0, 0.3)
+
+
+def _samples(*numbers: Any) -> np.ndarray:
+    return np.stack(np.meshgrid(*numbers, indexing="ij"), axis=-1).reshape(-1, len(numbers))
+
+
+_IMPACTS = _samples((1e-3, 0.1, 1.0, 5.0), _SLIPS, _TIMES)  # closing speeds, slips [m/s] and times [s] to try laws at
+_LOADS = _samples(_SLIPS, (1e-3, 1e-1, 1.0, 1e2, 1e4, np.inf), _TIMES)  # slips, normal forces [N] and times
 
 
 @dataclass(frozen=True)
@@ -63,8 +73,10 @@ class PairLaw:
         spinning_radius: [m] of the friction of a point against spinning about its normal; 0: none.
         rolling_radius: [m] of that against rolling.
         restitution_of_speed: coefficient by the closing speed, instead of the pair's number.
+        restitution_of_state: coefficient by the closing speed, the slip before and the time, instead of it.
         static_friction: coefficient of what sticks; None: as of what slides.
         friction_of_speed: coefficient by the speed of the slip, instead of the pair's number.
+        friction_of_state: coefficient by the speed of the slip, the normal force and the time, instead of it.
         friction_axis: of friction that depends on its direction.
         adhesion: pull up to which the surfaces stay together [N].
         adhesion_of_time: that pull by the time, instead of the number.
@@ -78,15 +90,22 @@ class PairLaw:
     spinning_radius: float = 0.0
     rolling_radius: float = 0.0
     restitution_of_speed: NumberFunction | None = None
+    restitution_of_state: ContactFunction | None = None
     static_friction: float | None = None
     friction_of_speed: NumberFunction | None = None
+    friction_of_state: ContactFunction | None = None
     friction_axis: FrictionAxis | None = None
     adhesion: float = 0.0
     adhesion_of_time: NumberFunction | None = None
     adhesive: tuple[BodyAdhesion, ...] = ()
 
-    def engine(self, pair: tuple[str, str]) -> dict[str, Any]:
-        """Return it as the arguments of the engine; `pair` names it in messages of its functions."""
+    def engine(self, pair: tuple[str, str], added: Callable[[ContactFunction], int]) -> dict[str, Any]:
+        """Return it as the arguments of the engine.
+
+        Args:
+            pair: names it in messages of its functions.
+            added: hands a function of the state of a contact to the engine, and returns its number.
+        """
 
         def of(function: NumberFunction | None, what: str) -> Any:
             return None if function is None else function.engine(f"the {what} of {pair[0]!r} and {pair[1]!r}")
@@ -101,7 +120,9 @@ class PairLaw:
             "keeps_energy": self.limit_energy,
             "tangential": self.tangential_restitution,
             "e": of(self.restitution_of_speed, "restitution"),
+            "e_of_state": self.restitution_of_state and added(self.restitution_of_state),
             "mu": of(self.friction_of_speed, "friction"),
+            "mu_of_state": self.friction_of_state and added(self.friction_of_state),
             "static_mu": self.static_friction,
             "pull": of(pull, "adhesion"),
             "axis_of": -1 if axis is None else pair.index(axis.geometry),
@@ -113,12 +134,15 @@ class PairLaw:
 
     def varies(self, kind: str) -> bool:
         """Whether the pair's "restitution" or "friction" depends on a speed, instead of being a number."""
-        return self.restitution_of_speed is not None if kind == "restitution" else self.rubs
+        if kind != "restitution":
+            return self.rubs
+        return self.restitution_of_speed is not None or self.restitution_of_state is not None
 
     @property
     def rubs(self) -> bool:
         """Whether its friction is not Coulomb's with one number."""
-        return self.static_friction is not None or self.friction_of_speed is not None or self.friction_axis is not None
+        laws = (self.static_friction, self.friction_of_speed, self.friction_of_state, self.friction_axis)
+        return any(law is not None for law in laws)
 
     @property
     def adheres(self) -> bool:
@@ -196,7 +220,10 @@ def _words(name: str, value: Any) -> str:
     if name == "adhesive":
         return ", ".join(adhesion.name.removeprefix("the ") for adhesion in value)
     speed = "the closing speed" if name.startswith("restitution") else "the speed of the slip"
-    for ending, of in (("_of_speed", speed), ("_of_time", "the time")):
+    state = "the closing speed, the slip and the time"
+    if not name.startswith("restitution"):
+        state = "the slip, the normal force and the time"
+    for ending, of in (("_of_speed", speed), ("_of_time", "the time"), ("_of_state", state)):
         if name.endswith(ending):
             return f"{name.removesuffix(ending)} by {of}"
     return f"{name.replace('_', ' ')} {value}"
@@ -207,7 +234,7 @@ DEFAULTS = {f.name: f.default for f in fields(PairLaw)}
 CONTACT_SETTINGS = (
     "restitution",
     "friction",
-    *(name for name in DEFAULTS if not name.endswith(("_of_speed", "_of_time")) and name != "adhesive"),
+    *(name for name in DEFAULTS if not name.endswith(("_of_speed", "_of_time", "_of_state")) and name != "adhesive"),
 )
 
 
@@ -234,7 +261,7 @@ def _is_function(value: Any, dimensions: int) -> bool:
 
 def checked_contact(
     rules: LawRules, first: Sequence[str] | None, restitution: Any, friction: Any, friction_axis: Any, adhesion: Any,
-    **settings: Any,
+    restitution_of_state: Any, friction_of_state: Any, **settings: Any,
 ) -> tuple[dict[str, float], dict[str, Any]]:  # fmt: skip
     """Return the numbers and the settings of laws that are given, checked; None: not given.
 
@@ -253,18 +280,43 @@ def checked_contact(
         numbers["restitution"] = real("restitution", restitution, 0.0, 1.0)
         if "restitution_of_speed" in rules.rules:
             laws["restitution_of_speed"] = None
-    if np.ndim(friction) == 1 or friction_axis is not None:
+    if restitution_of_state is not None:
+        if restitution is not None:
+            raise InputError(
+                "Restitution is given twice", name="restitution_of_state", expected="one of restitution and "
+                "restitution_of_state", got="both", remedy="Leave one of them out",
+            )  # fmt: skip
+        laws["restitution_of_state"] = state_law(
+            "restitution_of_state", "the law of restitution", (CLOSING, SLIP, TIME), restitution_of_state,
+            "the coefficient", 1.0, _IMPACTS, "restitution_of_state=lambda closing, slip, t: 0.8 / (1 + slip)",
+        )  # fmt: skip
+        if "restitution_of_speed" in rules.rules:
+            laws["restitution_of_speed"] = None
+    elif restitution is not None and "restitution_of_state" in rules.rules:
+        laws["restitution_of_state"] = None
+    replaced: tuple[str, ...] = ()
+    if friction_of_state is not None:
+        for name, other in (("friction", friction), ("static_friction", settings.get("static_friction"))):
+            if other is not None:
+                raise InputError(
+                    "Friction is given twice", name="friction_of_state", expected=f"no {name} beside friction_of_state",
+                    got=f"{name}={short(other)}", remedy="Leave one of them out: the law holds for what sticks, too",
+                )  # fmt: skip
+        laws["friction_of_state"] = state_law(
+            "friction_of_state", "the law of friction", (SLIP, NORMAL, TIME), friction_of_state, "the coefficient",
+            np.inf, _LOADS, "friction_of_state=lambda slip, normal, t: 0.5 / (1 + normal / 100)",
+        )  # fmt: skip
+        replaced = ("friction_of_speed", "friction_axis", "static_friction")
+    elif np.ndim(friction) == 1 or friction_axis is not None:
         laws["friction_axis"] = _friction_axis(first, friction, friction_axis)
         numbers["friction"] = max(laws["friction_axis"].along, laws["friction_axis"].across)
-        replaced: tuple[str, ...] = ("friction_of_speed",)
+        replaced = ("friction_of_speed", "friction_of_state")
     elif _is_function(friction, 2):
         laws["friction_of_speed"] = number_function("friction", friction, 0.0, np.inf)
-        replaced = ("friction_axis",)
-    else:
-        replaced = ()
-        if friction is not None:
-            numbers["friction"] = real("friction", friction, 0.0)
-            replaced = ("friction_of_speed", "friction_axis", "static_friction")
+        replaced = ("friction_axis", "friction_of_state")
+    elif friction is not None:
+        numbers["friction"] = real("friction", friction, 0.0)
+        replaced = ("friction_of_speed", "friction_of_state", "friction_axis", "static_friction")
     laws |= {name: None for name in replaced if name in rules.rules and name not in laws}
     if _is_function(adhesion, 1):
         laws["adhesion_of_time"] = number_function("adhesion", adhesion, 0.0, np.inf, "s")
@@ -346,6 +398,19 @@ class LawRules:
         return list(found.items())
 
 
+def check_restitution(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) -> None:
+    """Raise SceneError where restitution depends on a slip that is not known, or on two things."""
+    if law.restitution_of_state is None or (law.restitution_of_speed is None and float(np.min(friction)) > 0.0):
+        return
+    both = law.restitution_of_speed is not None
+    raise SceneError(
+        f"The restitution of {pair[0]!r} and {pair[1]!r} is not usable",
+        expected="one law of restitution" if both else "friction > 0, with which the slip of an impact is found",
+        got="a function of the speed of one side, one of the state of the other" if both else "friction 0",
+        remedy=f"scene.set_contact({pair[0]!r}, {pair[1]!r}, " + ("restitution=...)" if both else "friction=...)"),
+    )  # fmt: skip
+
+
 def check_friction(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) -> None:
     """Raise SceneError where a pair with a law of friction has none where it begins to slide, or less at rest."""
     if law.turning and law.rubs:
@@ -355,6 +420,16 @@ def check_friction(law: PairLaw, friction: np.ndarray, pair: tuple[str, str]) ->
             remedy=f"scene.set_contact({pair[0]!r}, {pair[1]!r}, friction=...), or spinning_radius=0, rolling_radius=0",
         )  # fmt: skip
     if not law.rubs:
+        return
+    if law.friction_of_state is not None:
+        others = ("friction_of_speed", "friction_axis", "static_friction")
+        given = [name for name in others if getattr(law, name) is not None]
+        if given:
+            raise SceneError(
+                f"The friction of {pair[0]!r} and {pair[1]!r} has two laws", expected="friction_of_state alone",
+                got=f"friction_of_state of one side, {given[0].replace('_', ' ')} of the other",
+                remedy=f"Set it for the pair: scene.set_contact({pair[0]!r}, {pair[1]!r}, friction_of_state=...)",
+            )  # fmt: skip
         return
     if law.friction_axis is not None and law.friction_of_speed is not None:
         raise SceneError(

@@ -15,6 +15,7 @@ from contactvi.elements.user_functions import checked_force, checked_force_deriv
 from contactvi.errors import SceneError
 from contactvi.importing.engine_model import engine_model
 from contactvi.importing.given_surfaces import GivenSurface
+from contactvi.scene.contact_functions import ContactFunction
 from contactvi.scene.contact_laws import PairLaw
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
@@ -75,12 +76,19 @@ def make_engine_scene(
         adhesive = list(dict.fromkeys(adhesion for law, _ in laws for adhesion in law.adhesive))
         for adhesion in adhesive:
             scene.add_body_pull(adhesion.pull.engine(adhesion.name))
+        numbers: dict[int, int] = {}  # of functions that several laws share
+
+        def added(function: ContactFunction) -> int:
+            if id(function) not in numbers:
+                numbers[id(function)] = function.added(scene)
+            return numbers[id(function)]
+
         for law, places in laws:
             pulls = [adhesive.index(adhesion) for adhesion in law.adhesive]
             # An axis of friction is the first geometry's in some pairs and the second one's in others.
             for group in [places] if law.friction_axis is None else [[place] for place in places]:
                 a, b = (collision.geometryObjects[int(k)].name for k in pairs[group[0]])
-                scene.set_contact_law(group, **law.engine((a, b)), body_pulls=pulls)
+                scene.set_contact_law(group, **law.engine((a, b), added), body_pulls=pulls)
         for name, surface in surfaces.items():
             number = collision.getGeometryId(name)
             surface.put(scene, number, name)

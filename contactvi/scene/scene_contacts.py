@@ -50,6 +50,8 @@ class SceneContacts:
         tangential_restitution: float | None = None,
         spinning_radius: float | None = None,
         rolling_radius: float | None = None,
+        restitution_of_state: Callable[..., Any] | tuple[Callable[..., Any], Callable[..., Any]] | None = None,
+        friction_of_state: Callable[..., Any] | tuple[Callable[..., Any], Callable[..., Any]] | None = None,
     ) -> None:
         """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts, by default 0.5 and 0, and their laws.
 
@@ -90,6 +92,19 @@ class SceneContacts:
                 friction r_s times normal force.
             rolling_radius: r_r >= 0 [m], by default 0: friction against rolling, a torque along the tangents of at
                 most r_r times the normal force. Both radii need friction > 0.
+            restitution_of_state: restitution as a function law(closing, slip, t) of the closing speeds, the speeds of
+                the slips before the impact [m/s] and the times [s], arrays (n,) each, returns (n,) in [0, 1]; in place
+                of restitution. It needs friction > 0, with which that slip is found. Or a pair of it and of its
+                derivatives, derivatives(closing, slip, t): three arrays (n,); or a C function by its `address`,
+                void(double closing, double slip, double t, double values[4]), which sets the value and these.
+            friction_of_state: Coulomb's coefficient as a function law(slip, normal, t) of the speeds of the slips
+                [m/s], 0 of what sticks, the normal forces > 0 [N] of the points and the times [s], arrays (n,), returns
+                (n,), >= 0; in place of friction. An impact has no force: there normal is infinite, and slip is that
+                before it. Derivatives and C functions as of restitution_of_state.
+
+        Raises:
+            InputError: bad numbers; a law without a value in an impact, derivatives that are not its own.
+            UserFunctionError: a law that fails, or returns another shape, nan, or values beyond their range.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -97,9 +112,9 @@ class SceneContacts:
         second = None if b is None else self._geometries(b, "b")
         rules = self._contact
         numbers, laws = checked_contact(
-            rules.laws, first, restitution, friction, friction_axis, adhesion, static_friction=static_friction,
-            restitution_law=restitution_law, impact_process=impact_process, limit_energy=limit_energy,
-            tangential_restitution=tangential_restitution, spinning_radius=spinning_radius,
+            rules.laws, first, restitution, friction, friction_axis, adhesion, restitution_of_state, friction_of_state,
+            static_friction=static_friction, restitution_law=restitution_law, impact_process=impact_process,
+            limit_energy=limit_energy, tangential_restitution=tangential_restitution, spinning_radius=spinning_radius,
             rolling_radius=rolling_radius,
         )  # fmt: skip
         for what, value in numbers.items():

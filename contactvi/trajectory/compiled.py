@@ -164,7 +164,7 @@ class CompiledScene:
     def loses_energy(self) -> bool:
         """Whether some pair or limit has a restitution below 1."""
         arrays = self.built.arrays
-        varies = any(law.restitution_of_speed is not None for law, _ in self.built.laws)
+        varies = any(law.varies("restitution") for law, _ in self.built.laws)
         return bool(
             varies or np.any(self.built.restitution < 1.0) or np.any(arrays.limit_restitution[arrays.limits] < 1.0)
         )

@@ -169,42 +169,56 @@ void add_path_spring(Scene& s, const std::vector<int>& joints, const Rows& point
 using OfRows = nb::typed<nb::callable, nb::object(nb::object, bool)>;
 using Numbers = nb::ndarray<const double, nb::numpy, nb::c_contig>;
 
-// By a function of Python that takes rows of two numbers and returns rows of values, (n, 1) or with derivatives (n, 3).
-ContactFunction::Rows rows_of(Scene& s, const OfRows& function) {
-  return [call = keep(s, function)](const double* numbers, int count, bool derivatives, ContactValue* values) {
-    const std::size_t n = static_cast<std::size_t>(count), columns = derivatives ? 3 : 1;
-    // Where iterations diverge, the function is not asked.
-    bool known = std::all_of(numbers, numbers + 2 * n, [](double x) { return std::isfinite(x); });
+// By a function of Python that takes rows of two or three numbers (width) and returns rows of values, (n, 1) or with
+// derivatives (n, 1 + width).
+ContactFunction::Rows rows_of(Scene& s, const OfRows& function, std::size_t width) {
+  return [call = keep(s, function), width](const double* numbers, int count, bool derivatives, ContactValue* values) {
+    const std::size_t n = static_cast<std::size_t>(count), columns = derivatives ? 1 + width : 1;
+    // Where iterations diverge, the function is not asked. The force of an impact is infinite.
+    bool known = true;
+    for (std::size_t k = 0; k < width * n; ++k)
+      known = known && (std::isfinite(numbers[k]) || (width == 3 && k % 3 == 1 && numbers[k] > 0.0));
     known = known && guarded(call, false, [&] {
-              const std::size_t shape[2] = {n, 2};
+              const std::size_t shape[2] = {n, width};
               nb::ndarray<nb::numpy, const double> given(numbers, 2, shape, nb::handle());
               const auto result = nb::cast<Numbers>(call(given.cast(nb::rv_policy::copy), derivatives));
               if (result.size() != n * columns) throw Error("a law of contact of another shape");
               for (std::size_t k = 0; k < n; ++k) {
                 const double* row = result.data() + k * columns;
-                values[k] = derivatives ? ContactValue{row[0], row[1], row[2]} : ContactValue{row[0]};
+                values[k] = derivatives ? ContactValue{row[0], row[1], row[2], width == 3 ? row[3] : 0.0}
+                                        : ContactValue{row[0]};
               }
               return true;
             });
-    if (!known) std::fill_n(values, n, ContactValue{kNaN, kNaN, kNaN});
+    if (!known) std::fill_n(values, n, ContactValue{kNaN, kNaN, kNaN, kNaN});
   };
 }
 
-// Adds a function of two numbers of contacts: of Python, or the address of a C function that sets its value and both
-// derivatives; of one number the address is that of a function that returns its value.
-int add_contact_function(Scene& s, const std::variant<std::uintptr_t, OfRows>& given, bool of_one) {
+// Adds a function of one to three numbers of contacts: of Python, or the address of a C function that sets its value
+// and the derivatives; of one number the address is that of a function that returns its value.
+int add_contact_function(Scene& s, const std::variant<std::uintptr_t, OfRows>& given, int count) {
+  need(count >= 1 && count <= 3, "expected one to three numbers");
   ContactFunction::Rows rows;
   if (const OfRows* function = std::get_if<OfRows>(&given)) {
-    rows = rows_of(s, *function);
-  } else if (of_one) {
+    rows = rows_of(s, *function, count == 3 ? 3 : 2);
+  } else if (count == 1) {
     auto* f = reinterpret_cast<double (*)(double)>(std::get<std::uintptr_t>(given));  // NOLINT: the caller knows
-    rows = [f](const double* numbers, int count, bool, ContactValue* values) {
-      for (int k = 0; k < count; ++k) values[k] = {f(numbers[2 * k])};
+    rows = [f](const double* numbers, int n, bool, ContactValue* values) {
+      for (int k = 0; k < n; ++k) values[k] = {f(numbers[2 * k])};
+    };
+  } else if (count == 3) {
+    auto* f = reinterpret_cast<void (*)(double, double, double, double*)>(std::get<std::uintptr_t>(given));  // NOLINT
+    rows = [f](const double* numbers, int n, bool, ContactValue* values) {
+      for (int k = 0; k < n; ++k) {
+        double found[4] = {kNaN, kNaN, kNaN, kNaN};
+        f(numbers[3 * k], numbers[3 * k + 1], numbers[3 * k + 2], found);
+        values[k] = {found[0], found[1], found[2], found[3]};
+      }
     };
   } else {
     auto* f = reinterpret_cast<void (*)(double, double, double*)>(std::get<std::uintptr_t>(given));  // NOLINT: the same
-    rows = [f](const double* numbers, int count, bool, ContactValue* values) {
-      for (int k = 0; k < count; ++k) {
+    rows = [f](const double* numbers, int n, bool, ContactValue* values) {
+      for (int k = 0; k < n; ++k) {
         double found[3] = {kNaN, kNaN, kNaN};
         f(numbers[2 * k], numbers[2 * k + 1], found);
         values[k] = {found[0], found[1], found[2]};
@@ -485,10 +499,12 @@ void expose_elements(nb::class_<Scene>& scene) {
            "exponent"_a, "damping"_a, "friction"_a, "slip_speed"_a, "functions"_a = std::array<int, 3>{-1, -1, -1},
            "Let two geometries press on each other by a law of their gap; see core/model/elements.hpp. functions: the "
            "numbers of those of force, energy and bound on friction (add_contact_function), -1: none.")
-      .def("add_contact_function", &add_contact_function, "function"_a, "of_one"_a,
-           "Adds a function of two numbers of contacts, of rows (n, 2) and whether derivatives are wanted, which "
-           "returns rows of the value (n, 1) or value and derivatives (n, 3); or the address of a C function "
-           "void(double, double, double[3]), of one number that of double(double). Returns its number.")
+      .def(
+          "add_contact_function", &add_contact_function, "function"_a, "numbers"_a,
+          "Adds a function of `numbers` numbers of contacts, of rows (n, 2) or (n, 3) and whether derivatives are "
+          "wanted, which returns rows of the value (n, 1) or value and derivatives (n, 3) or (n, 4); or the address of "
+          "a C function void(double, double, double[3]), void(double, double, double, double[4]), of one number "
+          "double(double). Returns its number.")
       .def(
           "compliant_contacts", &compliant_contacts, "q"_a, "v"_a,
           "The compliant contacts that overlap at states: (state, pair) (m, 2), (depth, normal, point, force) (m, 10).")

@@ -29,6 +29,7 @@
 #include "model/function_surface.hpp"
 #include "model/height_field.hpp"
 #include "model/implicit_surface.hpp"
+#include "model/restitution.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -51,6 +52,14 @@ std::function<double(double)> function_of(Scene& s, const Given& given) {
   };
 }
 
+// A function of the state of a contact that was added to the scene before.
+std::shared_ptr<const ContactFunction> state_function(const Scene& s, std::optional<int> number) {
+  if (!number) return nullptr;
+  const auto& all = s.tree.elements.contact_functions;
+  if (*number < 0 || *number >= static_cast<int>(all.size())) throw Error("there is no such function of contacts");
+  return all[static_cast<std::size_t>(*number)];
+}
+
 // Stands for a coefficient of restitution that depends on the speed: neither plastic nor elastic.
 constexpr double kVaries = 0.5;
 
@@ -67,8 +76,8 @@ NumberFunction number_function(Scene& s, const std::optional<Given>& value) {
 void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, bool incremental, bool keeps_energy,
                      double tangential, const std::optional<Given>& e, const std::optional<Given>& mu,
                      std::optional<double> static_mu, const std::optional<Given>& pull, int axis_of, const Vec3& axis,
-                     const Eigen::Vector2d& shares, double spinning, double rolling,
-                     const std::vector<int>& body_pulls) {
+                     const Eigen::Vector2d& shares, double spinning, double rolling, const std::vector<int>& body_pulls,
+                     std::optional<int> e_of_state, std::optional<int> mu_of_state) {
   ContactLaw law;
   if (body_pulls.size() > 2) throw Error("a pair has two bodies");
   for (std::size_t k = 0; k < body_pulls.size(); ++k) {
@@ -89,11 +98,13 @@ void set_contact_law(Scene& s, const std::vector<int>& pairs, int restitution, b
   law.spinning = spinning;
   law.rolling = rolling;
   law.e = number_function(s, e);
+  law.e_of_state = state_function(s, e_of_state);
+  law.mu_of_state = state_function(s, mu_of_state);
   for (const int pair : pairs) {
     if (pair < 0 || pair >= static_cast<int>(s.pairs.size())) throw Error("there is no such pair");
     Pair& taken = s.pairs[static_cast<std::size_t>(pair)];
     taken.law = static_cast<int>(s.laws.size());
-    if (law.e.given()) taken.restitution = kVaries;
+    if (restitution_varies(law)) taken.restitution = kVaries;
   }
   s.laws.push_back(std::move(law));
 }
@@ -258,14 +269,15 @@ void expose_laws(nb::module_& m, nb::class_<Scene>& scene) {
   scene.def(
       "set_contact_law", &set_contact_law, "pairs"_a, "restitution"_a, "incremental"_a, "keeps_energy"_a,
       "tangential"_a, "e"_a.none(), "mu"_a.none(), "static_mu"_a.none(), "pull"_a.none(), "axis_of"_a, "axis"_a,
-      "shares"_a, "spinning"_a, "rolling"_a, "body_pulls"_a,
+      "shares"_a, "spinning"_a, "rolling"_a, "body_pulls"_a, "e_of_state"_a.none(), "mu_of_state"_a.none(),
       "Gives pairs a law of restitution (0 Poisson, 1 Newton, 2 energetic), whether an impact of one point is "
       "followed through its impulse, whether e is lowered so that no energy is made, tangential restitution; e as a "
       "function of the closing speed, friction of that of the slip, adhesion of the time (table, address of a C "
       "function, function, or None); friction of what sticks or None; the geometry (0, 1; -1: none) and the axis "
       "along which and across which friction has its shares; radii [m] of the friction against spinning and rolling; "
-      "the numbers of the "
-      "adhesion of its bodies (add_body_pull).");
+      "the numbers of the adhesion of its bodies (add_body_pull); e by the closing speed, the slip before and "
+      "the time, friction by the slip, the normal force and the time (numbers of functions of three numbers that "
+      "add_contact_function returned, or None).");
   scene.def(
       "add_body_pull", [](Scene& s, const Given& pull) { s.body_pulls.push_back(number_function(s, pull)); }, "pull"_a,
       "Adds the adhesion of a body [N] by the time (table, address of a C function, function), which all points share "

@@ -84,19 +84,39 @@ void ContactStep::set_force_rows(StepEquations& equations, const VecCRef& v) {
 // The forces in force_cones_ for the accelerations b_ without them, from start values.
 bool ContactStep::solve_forces(VecX& f) {
   if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
-  if (!solve_rows(force_cones_, G_end_, b_, kNoise * b_.cwiseAbs().maxCoeff(), f, true, {0.0, kAgree})) return false;
+  FrictionRounds rounds;
+  do {
+    if (!solve_rows(force_cones_, G_end_, b_, kNoise * b_.cwiseAbs().maxCoeff(), f, true, {0.0, kAgree})) return false;
+  } while (follows_forces_ && rounds.go_on(follow_forces(f)));
+  if (!rounds.settled()) return false;
   double stiffest = 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
   force_scale_ = stiffest > 0.0 ? std::max(scene_->tree.gravity.norm() / stiffest, f.cwiseAbs().maxCoeff()) : 0.0;
   return true;
 }
 
-// The friction of a contact at the present speeds of the rows.
-void ContactStep::set_force_coefficient(std::size_t i, bool slides, ConeContact& cone) const {
-  const int guard = contacts_[i].point.guard;
-  if (!scene_->friction_varies(guard)) return;
-  cone.mu = slides ? scene_->sliding_friction(guard, force_frame(i).slip(force_slip(i)).norm())
-                   : scene_->static_friction(guard);
+// The friction of the contacts at the present speeds of the rows, with the forces that are known so far.
+void ContactStep::set_force_coefficients() {
+  friction_states_.clear();
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const ConeContact& cone = force_cones_[friction_rows_ + i];
+    const bool varies = scene_->friction_varies(contacts_[i].point.guard);
+    const double slip = varies && cone.frozen ? force_frame(i).slip(force_slip(i)).norm() : 0.0;
+    friction_states_.push_back(
+        {contacts_[i].point.guard, !cone.frozen, slip, contacts_[i].force[0], node1_.t, cone.mu});
+  }
+  set_friction(*scene_, friction_states_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) force_cones_[friction_rows_ + i].mu = friction_states_[i].mu;
+}
+
+// By how much of themselves coefficients of friction change with the forces that were found with them.
+double ContactStep::follow_forces(const VecX& f) {
+  for (std::size_t i = 0; i < contacts_.size(); ++i) friction_states_[i].normal = f[row_[i]];
+  set_friction(*scene_, friction_states_);
+  double change = 0.0;
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    change = FrictionRounds::larger(change, friction_states_[i].mu, force_cones_[friction_rows_ + i].mu);
+  return change;
 }
 
 bool ContactStep::force_problem(VecX& value) {
@@ -115,11 +135,11 @@ bool ContactStep::force_problem(VecX& value) {
       continue;
     }
     cone.frozen = cone.rows == 3 && outcomes_[i].slips;
-    if (friction_varies_) set_force_coefficient(i, cone.frozen, cone);
     if (!cone.frozen) continue;
     const ContactOutcome& out = outcomes_[i];
     cone.d = frame(i, node1_).rows(out.slip_W).normalized();
   }
+  if (friction_varies_) set_force_coefficients();
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
   if (!solve_forces(change_)) return false;
   b_.noalias() += G_end_ * change_;
@@ -173,13 +193,13 @@ bool ContactStep::forces_at(StepEquations& equations, const VecCRef& q, const Ve
     ConeContact& cone = force_cones_[friction_rows_ + i];
     cone = cones_[friction_rows_ + i];
     cone.frozen = cone.rows == 3 && !contacts_[i].sticks;
-    if (friction_varies_) set_force_coefficient(i, cone.frozen, cone);
     if (!cone.frozen) continue;
     const Eigen::Vector2d known = force_frame(i).rows(directions[i]);
     const Eigen::Vector2d slip = w_end_.segment<2>(row_[i] + 1);
     cone.d = slip.norm() > still ? Eigen::Vector2d((slip.dot(known) < 0.0 ? -slip : slip).normalized())
                                  : Eigen::Vector2d(known.normalized());
   }
+  if (friction_varies_) set_force_coefficients();
   out.f.setZero(rows_);
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     out.f.segment(row_[i], contacts_[i].rows()) = contacts_[i].force.head(contacts_[i].rows());

@@ -76,7 +76,7 @@ void ContactStep::set_rows() {
   reference_positions_.resize(n);
   paradox_.resize(n);
   rows_ = bilateral_ + friction_rows_;
-  iterated_ = friction_varies_ = rolling_ = false;
+  iterated_ = friction_varies_ = follows_forces_ = rolling_ = false;
   adheres_ = any_adhesion(*scene_, contacts_);
   node1_.known = false;  // it was that of other contacts
   for (std::size_t i = 0; i < n; ++i) {
@@ -94,6 +94,7 @@ void ContactStep::set_rows() {
     const int guard = contacts_[i].point.guard;
     iterated_ |= scene_->is_pair(guard) && scene_->pairs[guard].refined;
     friction_varies_ |= scene_->friction_varies(guard);
+    follows_forces_ |= scene_->friction_by_state(guard);
   }
   const int nv = scene_->tree.nv;
   for (Node* node : {&node0_, &node1_}) {
@@ -271,7 +272,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     integrator_.stage_velocity(v_);
     set_row_velocities(h);
     if (!y_.allFinite()) break;
-    if (friction_varies_) follow_slips();
+    if (friction_varies_) follow_slips(h);
     if (!settled) {
       delassus(S_, DinvW_, G_);
       if (turns_over()) {
@@ -333,15 +334,19 @@ void ContactStep::set_pulls(double h) {
   }
 }
 
-// The friction of contacts that slide is that of their speed over the step, of those that stick that of rest.
-void ContactStep::follow_slips() {
+// The friction of contacts that slide is that of their speed over the step, of those that stick that of rest. Where it
+// depends on the force, each impulse has that of its own: the mean force over half of the step.
+void ContactStep::follow_slips(double h) {
+  friction_states_.clear();
+  const double middle = integrator_.time() + 0.5 * h;
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    const int guard = contacts_[i].point.guard;
-    if (!scene_->friction_varies(guard)) continue;
-    const double speed = frame(i, node1_).slip(y_.segment<2>(row_[i] + 1)).norm();
-    cones_[friction_rows_ + i].mu =
-        contacts_[i].sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, speed);
+    const bool varies = scene_->friction_varies(contacts_[i].point.guard);
+    const double speed = varies ? frame(i, node1_).slip(y_.segment<2>(row_[i] + 1)).norm() : 0.0;
+    friction_states_.push_back({contacts_[i].point.guard, contacts_[i].sticks, speed, 2.0 * lambda_[row_[i]] / h,
+                                middle, cones_[friction_rows_ + i].mu});
   }
+  set_friction(*scene_, friction_states_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) cones_[friction_rows_ + i].mu = friction_states_[i].mu;
 }
 
 // The second iteration of a step has made a change, the first one has made another one. Where the second is of the size

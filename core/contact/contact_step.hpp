@@ -30,6 +30,7 @@
 #include "contact/persistent_geometry.hpp"
 #include "geometry/guard.hpp"
 #include "model/constraints.hpp"
+#include "model/friction_state.hpp"
 #include "model/step_costs.hpp"
 #include "step/impulse_step.hpp"
 #include "step/stepper.hpp"
@@ -164,12 +165,13 @@ class ContactStep final : public Stepper {
   // Scale of the forces that the last call of persistent_forces found [N]: the largest of them, or the weight on a
   // contact if that is larger.
   double force_scale() const { return force_scale_; }
-  // The coefficient of friction of a contact becomes that with which it sticks or slides now.
-  void set_coefficient(PersistentContact& c) const {
-    const int guard = c.point.guard;
-    if (!scene_->friction_varies(guard)) return;
-    c.mu = c.sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, c.slip.norm());
+  // The coefficient of friction of a contact becomes that with which it sticks or slides at the time t [s].
+  void set_coefficient(PersistentContact& c, double t) const {
+    if (scene_->friction_varies(c.point.guard))
+      c.mu = friction_of(*scene_, {c.point.guard, c.sticks, c.slip.norm(), c.force[0], t, c.mu});
   }
+  // The coefficient of contact i with which forces_at found its force.
+  double force_friction(std::size_t i) const { return force_cones_[friction_rows_ + i].mu; }
   // Slips are numbered: those of the contacts, then those of the joints with friction, then, where some contact has
   // friction against rolling, the rolling of the contacts. slip_ends: whether slip i came
   // to rest or reversed in the step. slip_at_start: its speed there. slip_left: its speed at the end of the step if the
@@ -250,7 +252,10 @@ class ContactStep final : public Stepper {
     return guards_->frame(contacts_[i].point.guard, node.at[i], node.t1[i]);
   }
   void set_pulls(double h);
-  void follow_slips();
+  void follow_slips(double h);
+  double follow_end_forces(const VecX& lambda);
+  double follow_forces(const VecX& f);
+  bool solve_ends(VecX& lambda);
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1, const MotionValues& motions = {});
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
@@ -278,7 +283,7 @@ class ContactStep final : public Stepper {
   void set_force_rows(StepEquations& equations, const VecCRef& v);
   bool solve_forces(VecX& f);
   bool force_problem(VecX& value);
-  void set_force_coefficient(std::size_t i, bool slides, ConeContact& cone) const;
+  void set_force_coefficients();
 
   const Scene* scene_;
   Guards* guards_;
@@ -310,6 +315,9 @@ class ContactStep final : public Stepper {
   std::vector<Vec3>
       reference_positions_;  // positions of material points in the plane's body frame, from which slip counts
   bool adheres_ = false, friction_varies_ = false;  // whether some contact does, whether that of some contact does
+  bool follows_forces_ = false;                     // whether that of some contact depends on its normal force
+  std::vector<FrictionState> friction_states_;      // of the contacts, as their coefficients were asked for last
+  VecX end_friction_;                               // coefficients in the velocity impulse, per contact
   VecX pull_, pull_end_;  // impulses of adhesion along the rows, in the step's first half and its second one [N s]
   VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, p_given_, q1_, p1_, v1_, dv_;
   MatX DinvW_, S_, G_, MinvW_, right_sides_, G_end_, G_sub_, rates_;

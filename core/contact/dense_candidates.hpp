@@ -30,8 +30,9 @@ struct DenseContact {
   // impulses [N s] and what surfaces that turn add to its speeds [m/s].
   double spinning, rolling;
   Vec3 position_turning, velocity_turning, turning_drift0, turning_drift1;
-  Vec3 turning_speed;      // at the end, radii times angular velocities [m/s]
-  Eigen::Vector2d pull;    // impulses of adhesion at the start and at the end [N s]
+  Vec3 turning_speed;  // at the end, radii times angular velocities [m/s]
+  // Impulses of adhesion at the start and at the end [N s], and how they change with the time there [N].
+  Eigen::Vector2d pull, pull_rate;
   Eigen::Vector2d shares;  // of friction along the tangents (TangentFrame)
   int rows() const { return mu > 0.0 ? 3 : 1; }
   bool turns() const { return spinning > 0.0 || rolling > 0.0; }

@@ -153,13 +153,14 @@ void DenseRecorder::keep_loaded(const std::vector<DenseContact>& contacts) {
   for (int k = 0; k < row; ++k) rows.push_back(k);
   for (std::size_t i = 0; i < contacts.size(); ++i) {
     const DenseContact& c = contacts[i];
-    bool loaded = any(s.lambda, row, c.rows()) || any(s.plastic, row, c.rows()) || any(s.expansion, row, c.rows());
+    bool loaded = c.pull.sum() > 0.0 || any(s.lambda, row, c.rows()) || any(s.plastic, row, c.rows()) ||
+                  any(s.expansion, row, c.rows());
     for (const DenseStepRecord::Round& round : s.rounds) loaded |= any(round.lambda, row, c.rows());
     for (const DenseStepRecord::Place& place : s.places) loaded |= any(place.lambda, row, c.rows());
     if (loaded) {
       const Vec3 t1 = scene_->is_pair(c.point.guard) ? c.t1_1 : Vec3(Vec3::Zero());
       s.contacts.push_back({c.point, c.law, c.mu, c.restitution, c.allowed, c.at0, c.at1, c.t1_0, t1, c.closed,
-                            c.expands, static_cast<int>(rows.size()), found_[i]});
+                            c.expands, static_cast<int>(rows.size()), found_[i], true, c.pull, c.pull_rate});
       kept.push_back(static_cast<int>(i));
       for (int r = 0; r < c.rows(); ++r) rows.push_back(row + r);
     }

@@ -24,6 +24,7 @@
 #include "cone/reduced_solver.hpp"
 #include "contact/dense_recorder.hpp"
 #include "contact/dense_rows.hpp"
+#include "model/friction_state.hpp"
 #include "step/energy.hpp"
 #include "step/impulse_step.hpp"
 
@@ -144,7 +145,9 @@ class DenseStep {
   double offset(const DenseContact& c, std::size_t i) const;
   Vec3 end_tangent(const DenseContact& c);
   void set_friction();
+  double follow_forces();
   void set_pulls();
+  void set_restitution(std::size_t i);
   void pull_at_end();
   Eigen::Vector2d drift(const DenseContact& c, bool at_end);
   Vec3 turning_drift(const DenseContact& c, bool at_end);
@@ -171,6 +174,9 @@ class DenseStep {
   std::vector<int> active_;       // contacts of the present problem; joint friction follows them
   std::vector<int> lasting_;      // those among them that were loaded in the last step; at the end, those that adhere
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
+  // Of all contacts, as their coefficients were asked for last; and whether some of these depend on the forces.
+  std::vector<FrictionState> friction_states_;
+  bool follows_forces_ = false;
   Memory memory_;
   Constraints start_, end_;
   Reduction reduction_;  // of the constraints at the end of the step without contacts

@@ -21,6 +21,9 @@ struct DenseStepRecord {
     bool closed, expands;   // took part in the velocity impulse, in the expansion
     int row;                // its first row
     int found;              // the place at whose end it was found; -1: at the start of the step
+    // Whether its adhesion is known, as DenseContact has it.
+    bool knows_pull = false;
+    Eigen::Vector2d pull = Eigen::Vector2d::Zero(), pull_rate = pull;
   };
   // The end of a motion of the step, about which the law was linearised, or which the gap iterations have led to.
   struct Place {

@@ -12,7 +12,10 @@ namespace contactvi {
 void DenseStep::set_pulls() {
   adheres_ = false;
   std::vector<DenseContact>& all = candidates_.contacts();
-  for (DenseContact& c : all) c.pull.setZero();
+  for (DenseContact& c : all) {
+    c.pull.setZero();
+    c.pull_rate.setZero();
+  }
   if (std::none_of(scene_->laws.begin(), scene_->laws.end(), [](const ContactLaw& law) { return law.adheres(); }))
     return;
   pull_.setZero(rows_.problem().rows());
@@ -25,9 +28,16 @@ void DenseStep::set_pulls() {
     for (std::size_t i = 0; i < active_.size(); ++i)
       if (const ContactLaw* law = scene_->law(all[active_[i]].point.guard); law != nullptr && touches(all[active_[i]]))
         if (has(all[active_[i]].point.guard, *law)) points.push_back(i);
-    for (const std::size_t i : points)
-      for (int end = 0; end < 2; ++end)
-        all[active_[i]].pull[end] += 0.5 * h_ * std::max(0.0, pull(t_ + end * h_)) / static_cast<double>(points.size());
+    if (points.empty()) return;
+    for (int end = 0; end < 2; ++end) {
+      const double t = t_ + end * h_, now = pull(t), weight = 0.5 * h_ / static_cast<double>(points.size());
+      if (!(now > 0.0)) continue;
+      const double rate = recorder_ ? pull.slope(t) : 0.0;
+      for (const std::size_t i : points) {
+        all[active_[i]].pull[end] += weight * now;
+        all[active_[i]].pull_rate[end] += weight * rate;
+      }
+    }
   };
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const int guard = all[active_[i]].point.guard;
@@ -41,25 +51,51 @@ void DenseStep::set_pulls() {
           [body](int, const ContactLaw& law) { return law.body_pulls[0] == body || law.body_pulls[1] == body; });
   for (std::size_t i = 0; i < active_.size(); ++i) {
     DenseContact& c = all[active_[i]];
-    if (rows_.velocity(i, 0, v0_) > c.pull.sum() * mobility_[i]) c.pull.setZero();
+    if (rows_.velocity(i, 0, v0_) > c.pull.sum() * mobility_[i]) {
+      c.pull.setZero();
+      c.pull_rate.setZero();
+    }
     pull_[rows_.block(i).row] = c.pull[0];
     adheres_ |= c.pull.sum() > 0.0;
   }
 }
 
-// Friction that depends on the slip is that of its speed at the start of the step.
+// Friction that depends on the slip is that of its speed at the start of the step. All contacts are active.
 void DenseStep::set_friction() {
-  if (scene_->laws.empty()) return;
+  follows_forces_ = false;
+  const auto varies = [this](int k) { return scene_->friction_varies(candidates_.contacts()[k].point.guard); };
+  if (scene_->laws.empty() || std::none_of(active_.begin(), active_.end(), varies)) return;
+  friction_states_.clear();
   for (std::size_t i = 0; i < active_.size(); ++i) {
-    DenseContact& c = candidates_.contacts()[active_[i]];
+    const DenseContact& c = candidates_.contacts()[active_[i]];
     const int guard = c.point.guard;
+    friction_states_.push_back({guard, true, 0.0, 2.0 * c.position[0] / h_, t_, c.mu});
     if (c.rows() == 1 || !scene_->friction_varies(guard)) continue;
     const Eigen::Vector2d w(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_));
-    const double slip = c.frame(false).slip(w + c.drift0).norm();
-    const bool sticks = slip <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
-    c.mu = sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, slip);
+    FrictionState& state = friction_states_.back();
+    state.slip = c.frame(false).slip(w + c.drift0).norm();
+    state.sticks = state.slip <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
+    follows_forces_ |= scene_->friction_by_state(guard);
+  }
+  contactvi::set_friction(*scene_, friction_states_);
+  for (std::size_t i = 0; i < active_.size(); ++i)
+    rows_.problem().contacts[i].mu = candidates_.contacts()[active_[i]].mu = friction_states_[i].mu;
+}
+
+// By how much of themselves coefficients of friction change with the impulses of the present problem, each of which
+// acts for half of the step. An impact is a force that is the larger the shorter the step.
+double DenseStep::follow_forces() {
+  for (std::size_t i = 0; i < active_.size(); ++i)
+    friction_states_[static_cast<std::size_t>(active_[i])].normal = 2.0 * lambda_[rows_.block(i).row] / h_;
+  contactvi::set_friction(*scene_, friction_states_);
+  double change = 0.0;
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    DenseContact& c = candidates_.contacts()[active_[i]];
+    if (c.rows() == 1) continue;
+    change = FrictionRounds::larger(change, friction_states_[static_cast<std::size_t>(active_[i])].mu, c.mu);
     rows_.problem().contacts[i].mu = c.mu;
   }
+  return change;
 }
 
 // What surfaces that move along themselves add to the tangential velocities of a contact, where the bodies are placed.

@@ -63,7 +63,7 @@ bool ContactStep::velocity_impulses() {
   }
   classify_joint_friction(speed);
   lambda_end_ = lambda_;
-  if (!solve_end(lambda_end_)) {
+  if (!solve_ends(lambda_end_)) {
     why_ = "the contact forces at the end of a step were not found";
     return false;
   }
@@ -111,6 +111,29 @@ bool ContactStep::unfreeze_turned(const MatX& G, double still) {
   return turned;
 }
 
+// The velocity impulse with the coefficients of its own forces.
+bool ContactStep::solve_ends(VecX& lambda) {
+  if (!follows_forces_) return solve_end(lambda);
+  end_friction_.resize(static_cast<Eigen::Index>(contacts_.size()));
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    end_friction_[static_cast<Eigen::Index>(i)] = cones_[friction_rows_ + i].mu;
+  FrictionRounds rounds;
+  do {
+    if (!solve_end(lambda)) return false;
+  } while (rounds.go_on(follow_end_forces(lambda)));
+  return rounds.settled();
+}
+
+// By how much of themselves coefficients of friction change with the velocity impulse that was found with them.
+double ContactStep::follow_end_forces(const VecX& lambda) {
+  for (std::size_t i = 0; i < contacts_.size(); ++i) friction_states_[i].normal = 2.0 * lambda[row_[i]] / h_;
+  set_friction(*scene_, friction_states_);
+  double change = 0.0;
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    change = FrictionRounds::larger(change, friction_states_[i].mu, end_friction_[static_cast<Eigen::Index>(i)]);
+  return change;
+}
+
 // The cone problem of the active contacts; directions of friction stay those of the step where that reverses no slip.
 bool ContactStep::solve_end(VecX& lambda) {
   end_cones_.clear();
@@ -122,6 +145,7 @@ bool ContactStep::solve_end(VecX& lambda) {
   }
   for (int i : active_) {
     ConeContact cone = cones_[friction_rows_ + i];
+    if (follows_forces_) cone.mu = end_friction_[i];
     cone.row = static_cast<int>(sub_rows_.size()) - bilateral_;
     cone.frozen = outcomes_[i].slipped;
     cone.frozen_rolling = outcomes_[i].rolled;
@@ -322,7 +346,7 @@ void ContactStep::commit() {
     kink = kink || persistent.sticks == out.slips;
     persistent.sticks = !out.slips;
     persistent.slip = out.slip_W;
-    set_coefficient(persistent);
+    set_coefficient(persistent, integrator_.time() + h_);
     if (persistent.rows() > 3) {
       persistent.turning_force = (out.position_turning + out.velocity_turning) / h_;
       kink = kink || persistent.roll.isZero(0.0) == out.rolls;

@@ -12,6 +12,7 @@ constexpr double kAdmitted = 1e-9;  // of the largest impulse: by how much other
 void HeldImpulses::take(const std::vector<PersistentContact>& contacts, const PersistentRows& rows,
                         const StageConstraints& step) {
   contacts_ = &contacts;
+  rows_ = &rows;
   rounding_ = (step.table().s + 1) * step.impulse_rounding();
   impulses_.assign(contacts.size(), Impulse());
   for (std::size_t i = 0; i < contacts.size(); ++i) {
@@ -25,6 +26,10 @@ void HeldImpulses::take(const std::vector<PersistentContact>& contacts, const Pe
         sum.work -= friction * step.slips()(j, k);
       } else if (contacts[i].mu > 0.0) {
         impulse.tail<2>() = step.phase_impulses().block(r + 1, k, 2, 1);
+        if (rows.friction_by_state(i)) {
+          const double normal = impulse[0] / step.impulse_of(k, 1.0);
+          sum.bound += rows.friction(i, 0.0, normal, step.time_of(k), contacts[i].mu, false).mu * impulse[0];
+        }
       }
       const PersistentRows::Site& site = rows.site(k, i);
       const Vec3 normal = (impulse[0] - step.impulse_of(k, site.pull)) * site.contact.normal;
@@ -47,19 +52,26 @@ void HeldImpulses::share_friction() {
       if (contacts[k].point.guard == guard) of_pair.push_back(k);
     if (of_pair.front() != i) continue;  // seen before
     Vec3 local = Vec3::Zero(), world = Vec3::Zero();
+    double most = 0.0;
     bool shares = true;
     for (const std::size_t k : of_pair) {
       shares = shares && contacts[k].mu > 0.0 && contacts[k].sticks && impulses_[k].local[0] >= 0.0;
       local += impulses_[k].local;
+      most += bound(k);
       world += impulses_[k].world - impulses_[k].normal;
     }
     if (!shares || !(local[0] > 0.0)) continue;
     for (const std::size_t k : of_pair) {
-      const double part = impulses_[k].local[0] / local[0];
+      const double part = rows_->friction_by_state(k) ? bound(k) / most : impulses_[k].local[0] / local[0];
       impulses_[k].local.tail<2>() = part * local.tail<2>();
       impulses_[k].world = impulses_[k].normal + part * world;
     }
   }
+}
+
+// Of the friction of contact i that sticks.
+double HeldImpulses::bound(std::size_t i) const {
+  return rows_->friction_by_state(i) ? impulses_[i].bound : (*contacts_)[i].mu * impulses_[i].local[0];
 }
 
 bool HeldImpulses::are_admissible() const {
@@ -69,8 +81,8 @@ bool HeldImpulses::are_admissible() const {
   for (std::size_t i = 0; i < impulses_.size(); ++i) {
     const Vec3& impulse = impulses_[i].local;
     if (impulse[0] < -slack) return false;
-    const double most = (*contacts_)[i].mu * std::max(0.0, impulse[0]);  // what slides is on its cone
-    if ((*contacts_)[i].sticks && impulse.tail<2>().norm() > most + slack) return false;
+    // What slides is on its cone.
+    if ((*contacts_)[i].sticks && impulse.tail<2>().norm() > std::max(0.0, bound(i)) + slack) return false;
   }
   return true;
 }

@@ -17,6 +17,7 @@ class HeldImpulses {
     Vec3 world = Vec3::Zero();   // on geometry b
     Vec3 normal = Vec3::Zero();  // of it, what acts along the normals of the nodes
     double work = 0.0;           // of friction [J]
+    double bound = 0.0;          // of what sticks with a coefficient that depends on its force: of its friction [N s]
   };
 
   // Takes those of the step, or the part of one, that was solved last.
@@ -32,7 +33,10 @@ class HeldImpulses {
  private:
   void share_friction();
 
+  double bound(std::size_t i) const;
+
   const std::vector<PersistentContact>* contacts_ = nullptr;
+  const PersistentRows* rows_ = nullptr;
   std::vector<Impulse> impulses_;
   double rounding_ = 0.0;  // of the sums of what acts at the nodes [N s]
 };

@@ -8,6 +8,10 @@
 
 namespace contactvi {
 
+namespace {
+constexpr double kSameFriction = 1e-13;  // of coefficients: rounding
+}  // namespace
+
 void PersistentRows::set(const std::vector<PersistentContact>& contacts, const std::vector<FrictionJoint>& joints,
                          int places) {
   contacts_ = &contacts;
@@ -20,11 +24,13 @@ void PersistentRows::set(const std::vector<PersistentContact>& contacts, const s
   sliding_.clear();
   slides_.clear();
   by_rate_.clear();
+  by_forces_ = false;
   for (std::size_t i = 0; i < n; ++i) {
     const PersistentContact& c = contacts[i];
     rows_[i] = static_cast<int>(by_rate_.size());
     by_rate_.push_back(0);
     if (c.mu == 0.0) continue;
+    by_forces_ = by_forces_ || depends_on_force(i);
     if (c.sticks) {
       by_rate_.insert(by_rate_.end(), 2, c.counts_by_place() ? 0 : 1);
     } else {
@@ -107,8 +113,27 @@ bool PersistentRows::friction_varies(int slide) const {
   return guards_->scene().friction_varies((*contacts_)[sliding_[static_cast<std::size_t>(slide)]].point.guard);
 }
 
-double PersistentRows::friction(int slide, double speed) const {
-  return guards_->scene().sliding_friction((*contacts_)[sliding_[static_cast<std::size_t>(slide)]].point.guard, speed);
+bool PersistentRows::depends_on_force(std::size_t i) const {
+  return guards_->scene().friction_by_state((*contacts_)[i].point.guard);
+}
+
+bool PersistentRows::set_friction(const std::vector<SlideState>& slides) const {
+  std::vector<FrictionState> states;
+  for (const SlideState& s : slides)
+    states.push_back({(*contacts_)[sliding_[static_cast<std::size_t>(s.slide)]].point.guard, false, s.speed, s.normal,
+                      s.time, *s.mu});
+  contactvi::set_friction(guards_->scene(), states);
+  double change = 0.0;
+  for (std::size_t k = 0; k < slides.size(); ++k) change = FrictionRounds::larger(change, states[k].mu, *slides[k].mu);
+  return change > kSameFriction;
+}
+
+FrictionState PersistentRows::friction(std::size_t i, double speed, double normal, double t, double mu,
+                                       bool derivatives) const {
+  const PersistentContact& c = (*contacts_)[i];
+  std::vector<FrictionState> one{{c.point.guard, c.sticks, speed, normal, t, mu}};
+  contactvi::set_friction(guards_->scene(), one, derivatives);
+  return one.front();
 }
 
 bool PersistentRows::runs_far(int nodes) const {

@@ -5,8 +5,11 @@
 // no such displacement: the velocity of their slip is zero.
 #pragma once
 
+#include <vector>
+
 #include "contact/friction_joint.hpp"
 #include "contact/persistent_geometry.hpp"
+#include "model/friction_state.hpp"
 #include "step/phase_rows.hpp"
 
 namespace contactvi {
@@ -31,7 +34,13 @@ class PersistentRows final : public PhaseRows {
   // Of a material point: from where its displacement counts (PersistentGeometry).
   const Vec3& reference(std::size_t i) const { return references_[i]; }
   bool friction_varies(int slide) const override;
-  double friction(int slide, double speed) const override;
+  // Of one that sticks, too.
+  bool friction_by_forces() const override { return by_forces_; }
+  bool set_friction(const std::vector<SlideState>& slides) const override;
+  // Of contact i, which slides with this speed or sticks, at the time t [s]: its coefficient, mu where the force does
+  // not press, and its derivatives.
+  FrictionState friction(std::size_t i, double speed, double normal, double t, double mu, bool derivatives) const;
+  bool friction_by_state(std::size_t i) const { return by_forces_ && depends_on_force(i); }
   bool any_adheres() const override { return adheres_; }
   // Row of a joint with friction, -1: it slides.
   int joint_row(std::size_t k) const { return joint_rows_[k]; }
@@ -49,6 +58,8 @@ class PersistentRows final : public PhaseRows {
   const Site& site(int place, std::size_t i) const { return sites_[static_cast<std::size_t>(place)][i]; }
 
  private:
+  bool depends_on_force(std::size_t i) const;
+
   Guards* guards_;
   PersistentGeometry geometry_;
   const std::vector<PersistentContact>* contacts_ = nullptr;
@@ -62,7 +73,7 @@ class PersistentRows final : public PhaseRows {
   MatX row_of_;
   const std::vector<FrictionJoint>* joints_ = nullptr;
   std::vector<int> joint_rows_;
-  bool loaded_ = false, adheres_ = false;
+  bool loaded_ = false, adheres_ = false, by_forces_ = false;
   VecX load_;
 };
 

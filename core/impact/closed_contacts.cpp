@@ -18,6 +18,7 @@ void ImpactSequence::begin_guard(int guard) {
   c.guard = guard;
   c.e = scene_->restitution(guard);
   c.mu = scene_->friction(guard);
+  c.time = time_;
   const ContactLaw* law = scene_->law(guard);
   c.spinning = law != nullptr ? law->spinning : 0.0;
   c.rolling = law != nullptr ? law->rolling : 0.0;

@@ -20,6 +20,7 @@
 
 #include "cone/solver.hpp"
 #include "geometry/guard.hpp"
+#include "model/friction_state.hpp"
 #include "step/integrator.hpp"
 
 namespace contactvi {
@@ -27,7 +28,7 @@ namespace contactvi {
 // A pair with its points, or a joint limit, that is closed at an event.
 struct ClosedGuard {
   int guard = -1;
-  double e = 0, mu = 0;
+  double e = 0, mu = 0, time = 0;    // [s] of the event
   const ContactLaw* law = nullptr;   // where its friction is not one number
   double spinning = 0, rolling = 0;  // radii of friction [m]
   bool persistent = false;           // closed before the event
@@ -56,8 +57,9 @@ struct ClosedGuard {
   }
   // Friction of a point: that of its slip before the impact. An impact has no friction of rest.
   double friction(int point, const VecX& p) const {
-    if (law == nullptr || !law->mu.given()) return mu;
-    return law->mu(std::hypot(speed(3 * point + 1, p) / law->shares[0], speed(3 * point + 2, p) / law->shares[1]));
+    if (law == nullptr || (!law->mu.given() && law->mu_of_state == nullptr)) return mu;
+    const double slip = std::hypot(speed(3 * point + 1, p) / law->shares[0], speed(3 * point + 2, p) / law->shares[1]);
+    return law->mu.given() ? law->mu(slip) : impact_friction(*law, slip, time).mu;
   }
   // Least normal speed of all points.
   double gamma_n(const VecX& p) const;

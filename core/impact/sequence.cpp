@@ -5,6 +5,7 @@
 
 #include "impact/ctec.hpp"
 #include "impact/impact_maps.hpp"
+#include "model/restitution.hpp"
 
 namespace contactvi {
 
@@ -72,10 +73,18 @@ bool ImpactSequence::find_fastest(const VecX& p, const std::vector<char>& plasti
   return worst == nullptr || gamma <= -std::max(kEndlessSpeed * scale, low);
 }
 
-// Coefficient of a contact that closes at p.
+// Coefficient of a contact that closes at p. Its speeds are those of the point that closes fastest.
 double ImpactSequence::restitution(const ClosedGuard& closed, const VecX& p) const {
   const ContactLaw* law = scene_->law(closed.guard);
-  return law != nullptr && law->e.given() ? law->e(std::max(0.0, -closed.gamma_n(p))) : closed.e;
+  if (law == nullptr || !restitution_varies(*law)) return closed.e;
+  int first = 0;
+  for (int i = 1; i < closed.count; ++i)
+    if (closed.gamma_n(i, p) < closed.gamma_n(first, p)) first = i;
+  const int r = first * closed.rows_per_point();
+  const double slip = closed.rows_per_point() == 1 ? 0.0
+                                                   : std::hypot(closed.speed(r + 1, p) / law->shares[0],
+                                                                closed.speed(r + 2, p) / law->shares[1]);
+  return restitution_at(*law, std::max(0.0, -closed.gamma_n(p)), slip, time_);
 }
 
 bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, ImpactReference& reference, VecX& p,

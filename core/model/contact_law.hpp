@@ -2,11 +2,14 @@
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <vector>
 
 #include "base/numerics.hpp"
 
 namespace contactvi {
+
+class ContactFunction;  // model/contact_function.hpp
 
 // A number that depends on another one >= 0, a speed [m/s] or a time [s]: straight lines between the places of a table,
 // constant beyond its ends, or a function of the user.
@@ -44,7 +47,11 @@ struct ContactLaw {
   bool keeps_energy = true;
   double tangential = 0.0;  // of the slip, where friction holds it
   NumberFunction e;         // of the closing speed, instead of the pair's number
-  NumberFunction mu;        // friction of the speed of the slip, instead of the pair's number
+  // Of the closing speed, the speed of the slip before the impact, and the time, instead of e.
+  std::shared_ptr<const ContactFunction> e_of_state;
+  NumberFunction mu;  // friction of the speed of the slip, instead of the pair's number
+  // Of the speed of the slip, the normal force, and the time, instead of mu: see friction_state.hpp.
+  std::shared_ptr<const ContactFunction> mu_of_state;
   double static_mu = -1.0;  // friction of what sticks; -1: as that of what slides
   NumberFunction pull;      // adhesion by the time [N], shared by the points that touch
   // Adhesion of its bodies besides, in Scene::body_pulls; -1: none.

@@ -81,7 +81,8 @@ struct Scene {
     return is_pair(guard) && pairs[guard].law >= 0 ? &laws[pairs[guard].law] : nullptr;
   }
   double friction(int guard) const { return is_pair(guard) ? pairs[guard].friction : 0.0; }
-  // Coefficients of what slides with this speed [m/s], and of what sticks.
+  // Coefficients of what slides with this speed [m/s], and of what sticks, by laws that depend on nothing else
+  // (friction_state.hpp has the other ones).
   double sliding_friction(int guard, double speed) const {
     const ContactLaw* own = law(guard);
     return own != nullptr && own->mu.given() ? own->mu(speed) : friction(guard);
@@ -93,12 +94,18 @@ struct Scene {
   // Whether friction is not one number.
   bool friction_varies(int guard) const {
     const ContactLaw* own = law(guard);
-    return own != nullptr && (own->mu.given() || own->static_mu >= 0.0);
+    return own != nullptr && (own->mu.given() || own->static_mu >= 0.0 || own->mu_of_state != nullptr);
   }
-  // Whether a surface of some pair moves along itself, or adhesion may depend on the time.
+  // Whether it depends on the normal force and the time.
+  bool friction_by_state(int guard) const {
+    const ContactLaw* own = law(guard);
+    return own != nullptr && own->mu_of_state != nullptr;
+  }
+  // Whether a surface of some pair moves along itself, or adhesion or friction may depend on the time.
   bool contacts_depend_on_time() const {
     for (const Pair& pair : pairs)
-      if (pair.moves || (pair.law >= 0 && laws[pair.law].adheres())) return true;
+      if (pair.moves || (pair.law >= 0 && (laws[pair.law].adheres() || laws[pair.law].mu_of_state != nullptr)))
+        return true;
     return false;
   }
   // Rows of a point: the normal one, with friction those of slip, spinning and rolling.

@@ -51,7 +51,7 @@ bool ContactModes::begin_step(const VecX& q, const VecX& v, double t, const VecX
   borders_.begin(contacts);
   for (int k = 0; k < borders_.count(); ++k) endings_.push_back({static_cast<std::size_t>(k), End::kFeature});
   depths_.resize(borders_.count());
-  for (PersistentContact& c : contacts) step_->set_coefficient(c);
+  for (PersistentContact& c : contacts) step_->set_coefficient(c, t);
   rows_.set(contacts, joints, 2 * integrator_->stages() + 1);
   integrator_->hold(&rows_);
   active_ = true;
@@ -83,7 +83,7 @@ bool ContactModes::find_modes(const VecX& q, const VecX& v, double t, const VecX
       if (!(a.norm() > begins) || !(forces_.f[r] > 0.0)) continue;
       c.heading = step_->force_frame(i).slip(a).normalized();
       c.sticks = c.anchored = false;
-      step_->set_coefficient(c);
+      step_->set_coefficient(c, t);
       directions_[i] = c.heading;
       record_change(t, c.point, Change::kSlip, 0.0, recording);
     }
@@ -170,7 +170,10 @@ bool ContactModes::may_end() const {
         fastest = std::max(fastest, rows.slips()(j, k));
       } else if (contacts[i].mu > 0.0) {
         const double t = impulses.block(r + 1, k, 2, 1).norm() / table.e[k];
-        if (!(t < kInside * contacts[i].mu * n)) return true;
+        const double mu = rows_.friction_by_state(i)
+                              ? rows_.friction(i, 0.0, n / h_, t_ + table.d[k] * h_, contacts[i].mu, false).mu
+                              : contacts[i].mu;
+        if (!(t < kInside * mu * n)) return true;
       }
     }
     if (!(least > kFalling * largest) || (j >= 0 && !(slowest > kFalling * fastest))) return true;
@@ -224,18 +227,19 @@ bool ContactModes::borders_may_be_crossed(const VecX& q1) {
 // together is known.
 double ContactModes::stick_margin(std::size_t i) const {
   const std::vector<PersistentContact>& contacts = step_->contacts();
-  if (!shares_) return forces_.margin(step_->row(i), contacts[i].mu);
-  double normal = 0.0;
+  if (!shares_) return forces_.margin(step_->row(i), step_->force_friction(i));
+  double normal = 0.0, bound = 0.0;
   Vec3 friction = Vec3::Zero();  // in the measure of its bound
   for (std::size_t k = 0; k < contacts.size(); ++k) {
     if (contacts[k].point.guard != contacts[i].point.guard) continue;
     const int r = step_->row(k);
     normal += forces_.f[r];
+    bound += step_->force_friction(k) * forces_.f[r];
     TangentFrame tangents = step_->force_frame(k);
     tangents.shares.setOnes();
     friction += tangents.force(forces_.f.segment<2>(r + 1));
   }
-  return contacts[i].mu * normal - friction.norm();
+  return (rows_.friction_by_state(i) ? bound : contacts[i].mu * normal) - friction.norm();
 }
 
 double ContactModes::friction_work() {
@@ -306,10 +310,11 @@ void ContactModes::begin_slip(std::size_t first, double time, Recording& recordi
     if (c.mu == 0.0 || !c.sticks) continue;
     const int r = step_->row(i);
     const Eigen::Vector2d f = forces_.f.segment<2>(r + 1);
-    if (i != first && !(forces_.margin(r, c.mu) <= kTogether * forces_.scale && f.norm() > 0.0)) continue;
+    if (i != first && !(forces_.margin(r, step_->force_friction(i)) <= kTogether * forces_.scale && f.norm() > 0.0))
+      continue;
     c.heading = -step_->force_frame(i).slip(f).normalized();
     c.sticks = c.anchored = false;
-    step_->set_coefficient(c);
+    step_->set_coefficient(c, time);
     record_change(time, c.point, Change::kSlip, 0.0, recording);
   }
   step_->leave();
@@ -324,7 +329,7 @@ void ContactModes::come_to_rest(std::size_t first, const VecX& v, double time, R
     c.sticks = true;
     c.anchored = false;
     c.slip.setZero();
-    step_->set_coefficient(c);
+    step_->set_coefficient(c, time);
     record_change(time, c.point, Change::kStick, 0.0, recording);
   }
   step_->invalidate();
@@ -361,7 +366,7 @@ void ContactModes::commit(double time, long step, bool wanted, Recording& record
       const Vec3 along = end.frame.slip({std::cos(angle), std::sin(angle)});
       c.heading = along.normalized();
       c.slip = rows.slips()(j, s) * along;
-      step_->set_coefficient(c);
+      step_->set_coefficient(c, time);
     } else if (c.counts_by_place() && c.mu > 0.0 && !c.anchored) {
       c.anchor = rows_.reference(i);
       c.anchored = true;

@@ -99,7 +99,7 @@ PersistentContact ContactSet::make_persistent(const ContactPoint& point, const C
     persistent.rolling = law->rolling;
   }
   persistent.sticks = slip.norm() <= kPersists * (1.0 + v_.cwiseAbs().maxCoeff());
-  step_->set_coefficient(persistent);
+  step_->set_coefficient(persistent, run_->time);
   return persistent;
 }
 

@@ -107,10 +107,15 @@ void ContactStepAdjoint::law_gradient(const Problem& problem, const VecX& lc, Ve
       continue;
     }
     const VecX slip = tangent_.slip_of(problem, k), l = problem.lambda[f.normal] * lc.segment(row, count);
-    if (!rolls) lmu_[static_cast<Eigen::Index>(f.contact)] += slip.normalized().dot(l);
+    const ContactStepTangent::Coefficient& own = tangent_.of(problem, f);
+    const double lmu = slip.normalized().dot(l);
+    if (!rolls) lmu_[static_cast<Eigen::Index>(f.contact)] += lmu;
+    lt_ += own.by_time * lmu;
+    lh_ += 0.5 * own.by_time * lmu;
+    if (own.by_normal != 0.0) lh_ -= own.by_normal * tangent_.force_of(problem, f) * lmu / s.h;
     VecX& changed = mode == Mode::kKept ? ldy : lbase;
-    changed.segment(row, count) += f.mu * tangent_.turn(problem, k).transpose() * l;
-    ldy.segment(row, count) += tangent_.friction_by_slip(slip, f).transpose() * l;
+    changed.segment(row, count) += own.mu * tangent_.turn(problem, k).transpose() * l;
+    ldy.segment(row, count) += tangent_.friction_by_slip(problem, slip, f).transpose() * l;
   }
 }
 

@@ -234,8 +234,18 @@ void dense_contact_fields(Archive& a, Kept& c) {
   contact_fields(a, c.start);
   contact_fields(a, c.end);
   for (auto* x : {&c.t1_start, &c.t1_end}) a.fixed(*x);
-  for (auto* x : {&c.closed, &c.expands}) a.whole(*x);
+  // Files of versions that did not keep adhesion have no number above 1 here.
+  int kind = (c.closed ? 1 : 0) + (c.knows_pull ? 2 : 0);
+  a.whole(kind);
+  if constexpr (!std::is_const_v<Kept>) {
+    c.closed = kind % 2 == 1;
+    c.knows_pull = kind >= 2;
+  }
+  a.whole(c.expands);
   for (auto* x : {&c.row, &c.found}) a.whole(*x);
+  if (!c.knows_pull) return;
+  a.fixed(c.pull);
+  a.fixed(c.pull_rate);
 }
 
 template <class Archive, class Place>

@@ -82,7 +82,7 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
     } else if (f.keeps) {
       mode = Mode::kKept;
     } else if (f.slips) {
-      const bool follows = follows_slip(f, step.lambda_end, velocity_.w.segment(f.rows.row, f.rows.count));
+      const bool follows = follows_slip(f, f.end.mu, step.lambda_end, velocity_.w.segment(f.rows.row, f.rows.count));
       if (follows) mode = Mode::kSlip;
       // What ended the step is at its limit there.
       const bool ends = step.ending == ContactStepEnd::kStick && ended_joint() < 0 && &ended_friction() == &f;
@@ -99,20 +99,32 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
 
 // Whether the friction of a contact in either problem is against its slip. Of a slip that is as small as what the step
 // leaves of its equations it may not be: then the contact is at the limit of its friction, and sticks.
-bool ContactStepTangent::follows_slip(const Friction& f, const VecX& lambda, const VecX& slip) const {
+bool ContactStepTangent::follows_slip(const Friction& f, double mu, const VecX& lambda, const VecX& slip) const {
   if (slip.norm() > kLaw * (1.0 + record_->v.cwiseAbs().maxCoeff())) return true;
-  const double limit = f.mu * lambda[f.normal];
+  const double limit = mu * lambda[f.normal];
   return (lambda.segment(f.rows.row, f.rows.count) + limit * slip.normalized()).norm() <= kLaw * limit;
+}
+
+// Of the slip and the friction of a contact, with a normal impulse over half of the step.
+ContactStepTangent::Coefficient ContactStepTangent::coefficient(const Friction& f, double normal_impulse) const {
+  const ContactStepRecord& s = *record_;
+  const PersistentContact& before = s.contacts[f.contact].before;
+  if (f.rows.rolls) return {};
+  if (!scene_->friction_varies(before.point.guard)) return {before.mu};
+  const double speed = f.slip.head<2>().norm();
+  std::vector<FrictionState> one{
+      {before.point.guard, before.sticks, speed, 2.0 * normal_impulse / s.h, s.t + 0.5 * s.h, before.mu}};
+  set_friction(*scene_, one, true);
+  const FrictionState& found = one.front();
+  return {found.mu, speed > 0.0 ? found.by_slip : 0.0, found.by_normal, found.by_time};
 }
 
 // Of a contact with friction.
 void ContactStepTangent::add_friction(std::size_t i) {
   const ContactStepRecord::Contact& c = record_->contacts[i];
   const ContactOutcome& out = c.outcome;
-  const int guard = c.before.point.guard;
-  const ContactLaw* law = scene_->law(guard);
   for (const FrictionRows& rows : friction_rows(c.row, c.before.rows())) {
-    Friction f{i, rows, c.row, 1.0, 0.0, VecX(rows.count), false, false, false, false, false, false};
+    Friction f{i, rows, c.row, {}, {}, {}, VecX(rows.count), false, false, false, false, false, false};
     if (rows.rolls) {
       f.slip = out.turning_slip.tail<2>();
       f.slipped = out.rolled;
@@ -121,7 +133,6 @@ void ContactStepTangent::add_friction(std::size_t i) {
       f.freed = out.roll_freed;
       f.turned = out.roll_turned;
     } else {
-      const double speed = out.slip.norm();
       f.slip.head<2>() = out.slip;
       if (rows.count == 3) f.slip[2] = out.turning_slip[0];
       f.slipped = out.slipped;
@@ -129,11 +140,9 @@ void ContactStepTangent::add_friction(std::size_t i) {
       f.keeps = out.keeps;
       f.freed = out.freed;
       f.turned = out.turned;
-      f.mu = c.before.mu;
-      if (scene_->friction_varies(guard))
-        f.mu = c.before.sticks ? scene_->static_friction(guard) : scene_->sliding_friction(guard, speed);
-      if (!c.before.sticks && law != nullptr && law->mu.given() && speed > 0.0) f.slope = law->mu.slope(speed);
     }
+    f.start = coefficient(f, record_->lambda[c.row]);
+    f.end = f.frozen = coefficient(f, record_->lambda_end[c.row]);
     frictions_.push_back(std::move(f));
   }
 }
@@ -194,8 +203,8 @@ void ContactStepTangent::take_contacts() {
       position_.frictions.push_back(Mode::kOpen);
       continue;
     }
-    const double limit = f.mu * normal, friction = s.lambda.segment(f.rows.row, f.rows.count).norm();
-    f.directed = f.slipped && follows_slip(f, s.lambda, f.slip);
+    const double limit = f.start.mu * normal, friction = s.lambda.segment(f.rows.row, f.rows.count).norm();
+    f.directed = f.slipped && follows_slip(f, f.start.mu, s.lambda, f.slip);
     position_.frictions.push_back(f.directed ? Mode::kSlip : Mode::kStick);
     if (f.slipped && !f.directed) margin_ = 0.0;
     position_.w.segment(f.rows.row, f.rows.count) = f.slip;
@@ -241,14 +250,14 @@ void ContactStepTangent::check_laws() {
     const VecX friction = s.lambda.segment(row, count), end = s.lambda_end.segment(row, count);
     double off_impulse = 0.0, off_speed = 0.0;
     if (position_.frictions[k] == Mode::kSlip)
-      off_impulse = (friction + f.mu * s.lambda[f.normal] * f.slip.normalized()).norm();
+      off_impulse = (friction + f.start.mu * s.lambda[f.normal] * f.slip.normalized()).norm();
     const Mode mode = velocity_.frictions[k];
     if (mode == Mode::kKept || mode == Mode::kSlip) {
-      const VecX off = end + f.mu * s.lambda_end[f.normal] * slip_of(velocity_, k).normalized();
+      const VecX off = end + f.end.mu * s.lambda_end[f.normal] * slip_of(velocity_, k).normalized();
       off_impulse = std::max(off_impulse, off.norm());
     } else if (mode == Mode::kStick) {
       off_speed = velocity_.w.segment(row, count).norm();
-      margin_ = std::min(margin_, std::abs(f.mu * s.lambda_end[f.normal] - end.norm()) / impulse);
+      margin_ = std::min(margin_, std::abs(f.end.mu * s.lambda_end[f.normal] - end.norm()) / impulse);
     }
     check(s.contacts[f.contact].before.point.guard, off_impulse, off_speed);
   }
@@ -452,9 +461,10 @@ MatX ContactStepTangent::turn(const Problem& problem, std::size_t k) const {
 }
 
 // What the slip over the step makes of the coefficient of friction along a slip of either problem.
-MatX ContactStepTangent::friction_by_slip(const VecX& slip, const Friction& f) const {
-  if (f.slope == 0.0) return MatX::Zero(slip.size(), slip.size());
-  return f.slope * slip.normalized() * f.slip.normalized().transpose();
+MatX ContactStepTangent::friction_by_slip(const Problem& problem, const VecX& slip, const Friction& f) const {
+  const double slope = of(problem, f).by_slip;
+  if (slope == 0.0) return MatX::Zero(slip.size(), slip.size());
+  return slope * slip.normalized() * f.slip.normalized().transpose();
 }
 
 // The equations for the changes of the impulses. rows: the effect of the impulses on the rows.
@@ -473,12 +483,14 @@ void ContactStepTangent::set_laws(Problem& problem, const MatX& rows) {
     const Mode mode = problem.frictions[k];
     if (mode != Mode::kKept && mode != Mode::kSlip) continue;
     const VecX slip = slip_of(problem, k);
+    const Coefficient& c = of(problem, f);
     MatX by_slip = MatX::Zero(count, count);
-    if (mode == Mode::kSlip) by_slip = problem.lambda[f.normal] * f.mu * turn_of(slip);
-    if (&problem == &position_) by_slip += problem.lambda[f.normal] * friction_by_slip(slip, f);
+    if (mode == Mode::kSlip) by_slip = problem.lambda[f.normal] * c.mu * turn_of(slip);
+    if (&problem == &position_) by_slip += problem.lambda[f.normal] * friction_by_slip(problem, slip, f);
     A.middleRows(row, count) = by_slip * rows.middleRows(row, count);
     A.block(row, row, count, count).diagonal().array() += 1.0;
-    A.block(row, f.normal, count, 1) += f.mu * slip.normalized();
+    const double mu = c.by_normal == 0.0 ? c.mu : c.mu + c.by_normal * force_of(problem, f);
+    A.block(row, f.normal, count, 1) += mu * slip.normalized();
   }
   problem.system.compute(A, constraints_);
 }
@@ -515,10 +527,13 @@ VecX ContactStepTangent::law_change(const Problem& problem, const ContactStepDir
     if (mode != Mode::kKept && mode != Mode::kSlip) continue;
     const VecX slip = slip_of(problem, k);
     const VecX& change = mode == Mode::kKept ? dy : base;
-    const double dmu = d.mu.size() > 0 && !rolls ? d.mu[static_cast<Eigen::Index>(f.contact)] : 0.0;
+    const Coefficient& own = of(problem, f);
+    double dmu = d.mu.size() > 0 && !rolls ? d.mu[static_cast<Eigen::Index>(f.contact)] : 0.0;
+    dmu += own.by_time * (d.t + 0.5 * d.h);
+    if (own.by_normal != 0.0) dmu -= own.by_normal * force_of(problem, f) * d.h / s.h;
     c.segment(row, count) =
-        problem.lambda[f.normal] * (dmu * slip.normalized() + f.mu * turn(problem, k) * change.segment(row, count) +
-                                    friction_by_slip(slip, f) * dy.segment(row, count));
+        problem.lambda[f.normal] * (dmu * slip.normalized() + own.mu * turn(problem, k) * change.segment(row, count) +
+                                    friction_by_slip(problem, slip, f) * dy.segment(row, count));
   }
   return c;
 }
@@ -594,8 +609,7 @@ void ContactStepTangent::take_released_friction() {
     v_frozen_ = s.v1;
     return;
   }
-  set_laws(frozen_, G_);
-  check_shared(frozen_, MinvW_);
+  frozen_.lambda = s.lambda_end;
   VecX right = w_minus_;
   for (std::size_t k = 0; k < s.joints.size(); ++k)
     if (frozen_.joints[k] == Mode::kKept)
@@ -605,13 +619,35 @@ void ContactStepTangent::take_released_friction() {
   for (std::size_t k = 0; k < frictions_.size(); ++k)
     if (frozen_.frictions[k] == Mode::kKept) right.segment(frictions_[k].rows.row, frictions_[k].rows.count).setZero();
   const VecX size = MinvW_.cwiseAbs().transpose() * s.p_minus.cwiseAbs();
-  if (!frozen_.system.solve(right, size, frozen_.lambda))
+  FrictionRounds rounds;
+  do {
+    for (Friction& f : frictions_) f.frozen.by_normal = 0.0;  // these are equations for the impulses themselves
+    set_laws(frozen_, G_);
+    if (!frozen_.system.solve(right, size, frozen_.lambda))
+      refuse("stick", guard, "A slip ends in a way whose time has no derivative that is known",
+             "one slip that comes to rest", "contacts that contradict each other", "Start elsewhere");
+  } while (rounds.go_on(follow_frozen_forces()));
+  if (!rounds.settled())
     refuse("stick", guard, "A slip ends in a way whose time has no derivative that is known",
-           "one slip that comes to rest", "contacts that contradict each other", "Start elsewhere");
+           "one slip that comes to rest", "friction that is not found with its normal force", "Start elsewhere");
+  set_laws(frozen_, G_);
+  check_shared(frozen_, MinvW_);
   v_frozen_ = s.p_minus + s.W1 * frozen_.lambda;
   masses_.solve_mass(v_frozen_);
   frozen_.w.noalias() = s.W1.transpose() * v_frozen_;
   frozen_.w += own_end_;
+}
+
+// By how much of themselves coefficients of friction change with the impulses that were found with them.
+double ContactStepTangent::follow_frozen_forces() {
+  double change = 0.0;
+  for (Friction& f : frictions_) {
+    if (!scene_->friction_by_state(record_->contacts[f.contact].before.point.guard)) continue;
+    const Coefficient next = coefficient(f, frozen_.lambda[f.normal]);
+    change = FrictionRounds::larger(change, next.mu, f.frozen.mu);
+    f.frozen = next;
+  }
+  return change;
 }
 
 // Of the velocity impulse and of the speeds of the rows at the end. v: the velocity there; dy: of the rows over the

@@ -68,12 +68,18 @@ class ContactStepTangent {
  private:
   friend class ContactStepAdjoint;                  // its transpose, from the same parts
   enum class Mode { kOpen, kStick, kKept, kSlip };  // kKept: slips along a given direction
+  // A coefficient of friction, with its derivatives by the slip over the step, by the force that an impulse is over
+  // half of the step, and by the time.
+  struct Coefficient {
+    double mu = 1.0, by_slip = 0.0, by_normal = 0.0, by_time = 0.0;
+  };
   // The friction of a contact in the step.
   struct Friction {
     std::size_t contact;
     FrictionRows rows;
-    int normal;         // the row of the normal
-    double mu, slope;   // its coefficient, and the derivative of that by the slip over the step
+    int normal;  // the row of the normal
+    // Its coefficients in the position impulse, in the velocity impulse, and in this if the slips had gone on.
+    Coefficient start, end, frozen;
     VecX slip;          // over the step; 0: it did not slip
     bool slipped;       // during the step,
     bool directed;      // with friction against that slip,
@@ -101,7 +107,15 @@ class ContactStepTangent {
   void meet(const char* reason, int guard, const std::string& fact, const char* expected, const std::string& got,
             const char* remedy) const;
   double energy_change();
-  bool follows_slip(const Friction& friction, const VecX& lambda, const VecX& slip) const;
+  bool follows_slip(const Friction& friction, double mu, const VecX& lambda, const VecX& slip) const;
+  Coefficient coefficient(const Friction& friction, double normal_impulse) const;
+  const Coefficient& of(const Problem& problem, const Friction& friction) const {
+    return &problem == &position_ ? friction.start : &problem == &velocity_ ? friction.end : friction.frozen;
+  }
+  double force_of(const Problem& problem, const Friction& friction) const {
+    return 2.0 * problem.lambda[friction.normal] / record_->h;
+  }
+  double follow_frozen_forces();
   void add_friction(std::size_t contact);
   void meet_limit_of_friction() const;
   void take_contacts();
@@ -133,7 +147,7 @@ class ContactStepTangent {
   Vec3 relative(const BodyTwists& twists, int contact, const Vec3& x) const;
   Vec3 place(const BodyTwists& twists, int contact) const;
   MatX turn(const Problem& problem, std::size_t friction) const;
-  MatX friction_by_slip(const VecX& slip, const Friction& friction) const;
+  MatX friction_by_slip(const Problem& problem, const VecX& slip, const Friction& friction) const;
 
   const Scene* scene_;
   Kinks* kinks_;

@@ -144,8 +144,9 @@ void DenseStepAdjoint::pass_coefficients(const VecX& lmu, const VecX& le, MatX& 
       lW0.col(r) += l * t.v0_;
       lv0_ += l * s.W0.col(r);
     }
-    if (c.mu_by_slip.isZero(0.0)) continue;
-    const Eigen::Vector2d l = lmu[k] * c.mu_by_slip;
+    lt_ += c.e_by_time * le[k];
+    if (c.mu_by_slip.isZero(0.0) && c.e_by_slip.isZero(0.0)) continue;
+    const Eigen::Vector2d l = lmu[k] * c.mu_by_slip + le[k] * c.e_by_slip;
     lW0.middleCols<2>(r + 1) += t.v0_ * l.transpose();
     lv0_ += s.W0.middleCols<2>(r + 1) * l;
     lown0.segment<2>(r + 1) += l;
@@ -161,12 +162,21 @@ void DenseStepAdjoint::pass_own(const VecX& lown0, const VecX& lown1) {
   lh_ += later;
 }
 
+// The transpose of DenseStepTangent::pull_change().
+void DenseStepAdjoint::pass_pull(bool at_end, const VecX& lpull) {
+  const DenseStepTangent& t = tangent_;
+  const double later = (at_end ? t.pull1_rate_ : t.pull0_rate_).dot(lpull);
+  lh_ += (at_end ? t.pull1_ : t.pull0_).dot(lpull) / record_->h + (at_end ? later : 0.0);
+  lt_ += later;
+}
+
 // The transpose of DenseStepTangent::end_base().
 void DenseStepAdjoint::pass_end_base(const DenseStepTangent::End& end, const VecX& lbase, StepParameters& sums) {
   const VecX& q1 = record_->places.back().q;
   const VecX m = tangent_.MinvW_ * lbase;
   lp_minus_ += m;
-  lW1_ += m * end.lambda.transpose() + end.v * lbase.transpose();
+  lW1_ += m * (end.lambda - tangent_.pull1_).transpose() + end.v * lbase.transpose();
+  pass_pull(true, -(record_->W1.transpose() * m));
   lown1_ += lbase;
   VecX lq(m.size());
   adjoint_.momentum(q1, end.v, -m, lq, work_);
@@ -199,7 +209,8 @@ void DenseStepAdjoint::pass_end(const VecX& lq, const VecX& lp, StepParameters& 
   VecX total = s.plastic;
   if (expands) total += s.expanded * s.expansion;
   lp_minus_ = lp1;
-  lW1_ = lp1 * total.transpose();
+  lW1_ = lp1 * (total - t.pull1_).transpose();
+  pass_pull(true, -(s.W1.transpose() * lp1));
   VecX lplastic = s.W1.transpose() * lp1;
   if (expands) {
     t.expansion_.laws.solve_transposed(s.expanded * lplastic, lbase, lknown, lmu);
@@ -291,8 +302,10 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
   for (std::size_t i = 0; i < s.contacts.size(); ++i)
     lallowed_[static_cast<Eigen::Index>(i)] -= lbase[s.contacts[i].row] / s.h;
   VecX lp_start;
-  if (!pass_step(s.p0 + s.W0 * round.lambda, to, lq, next.v, lp, lp_start, sums)) return false;
-  MatX lW0 = lp_start * round.lambda.transpose();
+  const VecX acting = round.lambda - t.pull0_;
+  if (!pass_step(s.p0 + s.W0 * acting, to, lq, next.v, lp, lp_start, sums)) return false;
+  MatX lW0 = lp_start * acting.transpose();
+  pass_pull(false, -(s.W0.transpose() * lp_start));
   VecX lown0 = VecX::Zero(t.rows_);
   if (t.has_friction_) {
     VecX lmus = VecX::Zero(lmu_.size());
@@ -340,7 +353,8 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
       lW0.leftCols(t.constraints_) -= from.v * l.transpose();
       from_change.v -= s.W0.leftCols(t.constraints_) * l;
     }
-    lW0 += lforce * (r.anew ? r.lambda : VecX(r.lambda - about.lambda)).transpose();
+    lW0 += lforce * (r.lambda - (r.anew ? t.pull0_ : about.lambda)).transpose();
+    if (r.anew) pass_pull(false, -(s.W0.transpose() * lforce));
     if (!r.anew) places_[r.about].lambda -= s.W0.transpose() * lforce;
     pass_masses(round, r.v - from.v, -lforce, sums);
   }

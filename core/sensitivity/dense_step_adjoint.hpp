@@ -52,6 +52,7 @@ class DenseStepAdjoint {
   void pass_end_times(std::size_t place, const VecX& lrows);
   void pass_slips(int place, const VecX& lslips);
   void pass_coefficients(const VecX& lmu, const VecX& le, MatX& lW0, VecX& lown0);
+  void pass_pull(bool at_end, const VecX& lpull);
   void pass_own(const VecX& lown0, const VecX& lown1);
   VecX& of(const Source& source) { return source.place < 0 ? lq0_ : places_[source.place].q; }
   void pass_end(const VecX& lq, const VecX& lp, StepParameters& sums);

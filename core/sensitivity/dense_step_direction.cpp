@@ -135,7 +135,7 @@ void DenseStepTangent::set_end_rows(const VecX& dq1, double dt) {
   twists_.move(none_);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
-    if (!c.closed) continue;
+    if (!c.closed && c.pull[1] == 0.0) continue;
     auto dW = dW1_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
     auto& [contact, surface] = end_[i];
     contact.change(dq1, c.t1_end, dW);
@@ -196,10 +196,12 @@ void DenseStepTangent::coefficient_changes(const DenseStepDirection& d) {
     if (c.own_mu && d.mu.size() > 0) dmu_[i] = d.mu[i];
     if (c.own_e && d.e.size() > 0) de_[i] = d.e[i];
     if (c.e_by_closing != 0.0) de_[i] += c.e_by_closing * (dW0_.col(r).dot(v0_) + s.W0.col(r).dot(dv0_));
-    if (c.mu_by_slip.isZero(0.0) && std::isinf(c.without_rest)) continue;
+    de_[i] += c.e_by_time * d.t;
+    if (c.mu_by_slip.isZero(0.0) && c.e_by_slip.isZero(0.0) && std::isinf(c.without_rest)) continue;
     const Eigen::Vector2d dslip = dW0_.middleCols<2>(r + 1).transpose() * v0_ +
                                   s.W0.middleCols<2>(r + 1).transpose() * dv0_ + down0_.segment<2>(r + 1);
     dmu_[i] += c.mu_by_slip.dot(dslip);
+    de_[i] += c.e_by_slip.dot(dslip);
     if (!std::isinf(c.without_rest)) check_rest(d, static_cast<std::size_t>(i), dslip);
   }
 }
@@ -355,6 +357,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
     VecX change, dslip;
     matrix_change(round, d, dq0, r.v - from_v, change);
     VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
+    if (r.anew) force -= dW0_ * pull0_ + s.W0 * pull_change(false, d);
     project_rows(scene_->tree, force);
     const VecX dv = from_change.v + D_.solve(force);
     base = dW0_.transpose() * r.v + s.W0.transpose() * dv + down0_;
@@ -382,7 +385,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   low_changes(round, dmu_, known);
   StepDirection direction;
   direction.q = dq0;
-  direction.p = dW0_ * round.lambda;
+  direction.p = dW0_ * (round.lambda - pull0_) - s.W0 * pull_change(false, d);
   if (d.p.size() > 0) direction.p += d.p;
   direction.t = d.t;
   direction.h = d.h;
@@ -409,7 +412,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
 VecX DenseStepTangent::end_base(const End& end, const DenseStepDirection& d, const VecX& dq1, const VecX& dp,
                                 VecX& force) {
   const VecX& q1 = record_->places.back().q;
-  force = dp + dW1_ * end.lambda;
+  force = dp + dW1_ * (end.lambda - pull1_) - record_->W1 * pull_change(true, d);
   free_.momentum(q1, end.v, dq1, none_, work_);
   if (d.parameters != nullptr) free_.add_momentum(q1, end.v, *d.parameters, work_);
   VecX dv = force - work_;
@@ -457,7 +460,7 @@ void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1
     dtotal += s.expanded * dexpansion;
     total += s.expanded * s.expansion;
   }
-  dp1 = dp_ + dW1_ * total + s.W1 * dtotal;
+  dp1 = dp_ + dW1_ * (total - pull1_) + s.W1 * (dtotal - pull_change(true, d));
   if (s.expansion.size() > 0 && s.expanded < 1.0) {
     dshare = (energy_q0_.dot(dq0) + v0_.dot(dp0) - energy_q1_.dot(end.q) - s.v1.dot(dp1)) / expansion_rate_;
     dp1 += dshare * (s.W1 * s.expansion);

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "model/restitution.hpp"
 #include "sensitivity/kinks.hpp"
 #include "sensitivity/known_laws.hpp"
 #include "step/energy.hpp"
@@ -55,15 +56,17 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   has_friction_ = !step.joints.empty();
   for (const DenseStepRecord::Contact& c : step.contacts) {
     has_friction_ |= c.mu > 0.0;
+    refuse_friction_by_state(*scene_, c.point.guard, step.t);
     const ContactLaw* law = scene_->law(c.point.guard);
-    if (law == nullptr || (law->turning_rows() == 0 && !law->adheres())) continue;
-    const bool turns = law->turning_rows() > 0;
+    if (law != nullptr && law->adheres() && !c.knows_pull)
+      refuse("law", c.point.guard, "The file of the run does not keep the adhesion of its dense steps",
+             "a run of this version", "one of an earlier version", "Make the run again");
+    if (law == nullptr || law->turning_rows() == 0) continue;
     refuse("law", c.point.guard, "A dense step has a law of contact without a derivative there",
-           "friction against slip alone, and no adhesion, where events accumulate",
-           turns ? "friction against spinning or rolling" : "adhesion",
-           turns ? "Use contact_mode='events', or spinning_radius=0, rolling_radius=0"
-                 : "Use contact_mode='events', or adhesion=0");
+           "friction against slip alone, where events accumulate", "friction against spinning or rolling",
+           "Use contact_mode='events', or spinning_radius=0, rolling_radius=0");
   }
+  take_pulls();
   take_geometry();
   take_masses(tau, servo);
   take_coefficients();
@@ -76,6 +79,22 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   if (step.keeps_energy && !step.contacts.empty()) approximate("gaps that are left for the sake of the energy");
   if (error_ > kDenseLaw) approximate("impulses that do not satisfy the law of contact");
   if (margin_ < kOnCone) approximate("a contact between two of open, sticking and slipping");
+}
+
+void DenseStepTangent::take_pulls() {
+  for (VecX* x : {&pull0_, &pull1_, &pull0_rate_, &pull1_rate_}) x->setZero(rows_);
+  for (const DenseStepRecord::Contact& c : record_->contacts) {
+    pull0_[c.row] = c.pull[0];
+    pull1_[c.row] = c.pull[1];
+    pull0_rate_[c.row] = c.pull_rate[0];
+    pull1_rate_[c.row] = c.pull_rate[1];
+  }
+}
+
+// Impulses of adhesion are half of it times the length of the step.
+VecX DenseStepTangent::pull_change(bool at_end, const DenseStepDirection& d) const {
+  return at_end ? VecX(d.h / record_->h * pull1_ + (d.t + d.h) * pull1_rate_)
+                : VecX(d.h / record_->h * pull0_ + d.t * pull0_rate_);
 }
 
 // The largest impulse of the step, and the largest speed at its start, without impulses or to close its gaps.
@@ -185,15 +204,23 @@ void DenseStepTangent::take_coefficients() {
     const ContactLaw* law = scene_->law(guard);
     if (law == nullptr) continue;
     Coefficients& found = coefficients_[i];
-    if (law->e.given()) {
+    const Eigen::Array2d shares = start_[i].contact.shares();
+    Eigen::Vector2d slip = Eigen::Vector2d::Zero();
+    if (c.mu > 0.0) {
+      const Eigen::Vector2d w = s.W0.middleCols<2>(c.row + 1).transpose() * v0_ + own0_.segment<2>(c.row + 1);
+      slip = w.array() / shares;
+    }
+    if (restitution_varies(*law)) {
       const double closing = -s.W0.col(c.row).dot(v0_);
       found.own_e = false;
-      if (closing > 0.0 && c.restitution > 0.0) found.e_by_closing = -law->e.slope(closing);
+      if (closing > 0.0 && c.restitution > 0.0 && (law->e.given() || c.expands)) {
+        const Vec3 slopes = restitution_slopes(*law, closing, slip.norm(), s.t);
+        found.e_by_closing = -slopes[0];
+        if (slip.norm() > 0.0) found.e_by_slip = slopes[1] * (slip.normalized().array() / shares).matrix();
+        found.e_by_time = slopes[2];
+      }
     }
     if (c.mu == 0.0 || !scene_->friction_varies(guard)) continue;
-    const Eigen::Array2d shares = start_[i].contact.shares();
-    const Eigen::Vector2d w = s.W0.middleCols<2>(c.row + 1).transpose() * v0_ + own0_.segment<2>(c.row + 1);
-    const Eigen::Vector2d slip = w.array() / shares;
     const bool sticks = slip.norm() <= kStill * (1.0 + v0_.cwiseAbs().maxCoeff());
     found.own_mu = takes_friction(*scene_, guard, sticks);
     // What carries a load from the last step sticks at its end along all directions.
@@ -259,7 +286,7 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   round.law.take_law(s, r.lambda, w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, scale_);
   if (has_friction_) note(round.law);
   if (has_friction_) round.mass_effect = step_masses_.effect(r.v - s.places[r.anew ? 0 : r.about].v);
-  round.step.take(s.q0, s.p0 + s.W0 * round.lambda, s.h, tau, s.t, servo, next.v);
+  round.step.take(s.q0, s.p0 + s.W0 * (round.lambda - pull0_), s.h, tau, s.t, servo, next.v);
   unit_changes(round.step, rows_, round.Q, round.P, round.V);
   std::vector<double> gaps;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) gaps.push_back(next.end[i].gap - s.contacts[i].allowed);

@@ -10,6 +10,7 @@
 //            L_t = L_a,t and the L_n that close loaded gaps: the next place
 //   end      v' = M1^-1 (p1- + W1^T L'), the whole law for L' and w = W1 v'
 //   restitution: the same for L'' >= e (L + L'), of which a share is taken that just keeps the energy
+// Where points adhere, L less the impulses of that acts, here and at the end; the laws are those of L.
 // u are the velocities that surfaces have of themselves, at the end of a place and at the start, where coefficients of
 // friction and of restitution that depend on the slip and the closing speed are those of the velocity v0.
 // Constraints phi(q, t) = 0 are rows Phi without a cone in all of these: the smooth steps, the first one too, end on
@@ -88,7 +89,8 @@ class DenseStepTangent {
   struct Coefficients {
     bool own_mu = true, own_e = true;
     Eigen::Vector2d mu_by_slip = Eigen::Vector2d::Zero();
-    double e_by_closing = 0.0;
+    double e_by_closing = 0.0, e_by_time = 0.0;
+    Eigen::Vector2d e_by_slip = Eigen::Vector2d::Zero();
     double without_rest =
         INFINITY;  // friction of a contact at rest if that were not larger than that of one that slides
   };
@@ -144,6 +146,8 @@ class DenseStepTangent {
   void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
   double allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const;
   VecX end_times(std::size_t place, const DenseStepDirection& d) const;
+  void take_pulls();
+  VecX pull_change(bool at_end, const DenseStepDirection& d) const;
   void solve_free(const DenseStepDirection& d, const VecX& dq0);
   void solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0);
   void check_held_gaps(const Round& round, const DenseStepDirection& d, const VecX& dlaw, const VecX& dlambda);
@@ -173,6 +177,7 @@ class DenseStepTangent {
   // Velocities that surfaces have of themselves in the rows at the start, at the end and at those places, and their
   // derivatives by the time.
   VecX own0_, own1_, own0_rate_, own1_rate_;
+  VecX pull0_, pull1_, pull0_rate_, pull1_rate_;  // impulses of adhesion in the rows at both ends, by their times
   std::vector<VecX> slip_own_, slip_own_rate_;
   std::vector<Coefficients> coefficients_;
   double margin_ = 1.0, error_ = 0.0;

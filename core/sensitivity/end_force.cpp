@@ -105,6 +105,7 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
   }
   for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, equations + static_cast<int>(k)) = 1.0;
   std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero()), normals = t1;
+  std::vector<Loaded> states;
   VecX own = VecX::Zero(rows), own_rates = own, pulls = own;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactPoint& point = s.contacts[i].before.point;
@@ -169,6 +170,8 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
     const bool ends = s.releases && static_cast<int>(i) == s.ended;
     const int guard = s.contacts[i].before.point.guard;
     const bool varies = scene_->law(guard) != nullptr && scene_->law(guard)->mu.given();
+    const bool by_state = scene_->friction_by_state(guard);
+    double speed = 0.0;
     for (const auto& [row, size, rolls] : friction_rows(r, count)) {
       const bool slips = rolls ? s.contacts[i].rolls : s.contacts[i].slips;
       if (!(slips || ends)) continue;
@@ -179,18 +182,44 @@ double EndForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX
       const VecX w = W_.middleCols(row, size).transpose() * v_ + own.segment(row, size);
       const double bound = rolls ? 1.0 : varies ? scene_->sliding_friction(guard, w.norm()) : mu[i];
       A.block(row, r, size, 1) = bound * w.normalized();
+      speed = w.norm();
     }
+    if (by_state)
+      states.push_back({i, {guard, !s.contacts[i].slips, speed, s.contacts[i].before.force[0], time_, mu[i]}});
   }
-  system_.compute(A, equations);
-  const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();
-  if (!system_.solve(c, size, forces_)) refuse("contacts that contradict each other");
+  VecX coefficients = mu;
+  FrictionRounds rounds;
+  do {
+    for (const auto& [i, state] : states) {
+      const int r = s.contacts[i].row;
+      if (s.contacts[i].slips) A.block(r + 1, r, 2, 1) *= state.mu / coefficients[static_cast<Eigen::Index>(i)];
+      coefficients[static_cast<Eigen::Index>(i)] = state.mu;
+    }
+    system_.compute(A, equations);
+    const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();
+    if (!system_.solve(c, size, forces_)) refuse("contacts that contradict each other");
+  } while (!states.empty() && rounds.go_on(follow_forces(states)));
+  if (!rounds.settled()) refuse("friction that is not found with its normal force");
   accelerations_.noalias() += A_ * forces_;
-  set_weights(t1, normals, mu);
+  measured_ = forces_;
+  for (const auto& [i, state] : states)
+    if (!s.releases && !s.contacts[i].slips) measured_[s.contacts[i].row] *= state.mu;
+  set_weights(t1, normals, coefficients);
   if (system_.free().cols() > 0 && (weights_.transpose() * system_.free()).norm() > kUnique)
     refuse("points that share their load");
   const auto contacts = static_cast<int>(s.contacts.size());
   const double limit = s.ended < contacts ? 0.0 : s.joints[static_cast<std::size_t>(s.ended - contacts)].limit;
-  return limit + weights_.dot(forces_);
+  return limit + weights_.dot(measured_);
+}
+
+// By how much of themselves coefficients of friction change with the forces that were found with them.
+double EndForce::follow_forces(std::vector<Loaded>& states) const {
+  double change = 0.0;
+  for (auto& [i, state] : states) {
+    state.normal = forces_[end_.contacts[i].row];
+    change = FrictionRounds::larger(change, friction_of(*scene_, state), state.mu);
+  }
+  return change;
 }
 
 // Of the friction of points that share a load only the sum of those of a pair is known.
@@ -220,7 +249,7 @@ void EndForce::set_weights(const std::vector<Vec3>& t1, const std::vector<Vec3>&
   const Vec3 along = friction.normalized();
   for (const std::size_t i : together) {
     const int r = s.contacts[i].row;
-    weights_[r] = mu[s.ended];
+    weights_[r] = scene_->friction_by_state(s.contacts[i].before.point.guard) ? 1.0 : mu[s.ended];
     weights_[r + 1] = -along.dot(t1[i]);
     weights_[r + 2] = -along.dot(normals[i].cross(t1[i]));
   }
@@ -282,7 +311,7 @@ double EndForce::rate_in_time(double rest) {
     for (int i = 4; i >= 0; --i) {
       time_ = end_.time - i * length;
       force(end_.q, end_.p, *tau_, mu_);
-      rates += kOneSided[i] / (kDifferenceParts * length) * forces_;
+      rates += kOneSided[i] / (kDifferenceParts * length) * measured_;
     }
     found[k] = weights_.dot(rates);
   }

@@ -15,6 +15,7 @@
 #include "geometry/guard.hpp"
 #include "geometry/surface_velocity_tangent.hpp"
 #include "model/constraint_tangent.hpp"
+#include "model/friction_state.hpp"
 #include "sensitivity/friction_rows.hpp"
 #include "sensitivity/motion_parameters.hpp"
 #include "sensitivity/recorded_run.hpp"
@@ -66,6 +67,9 @@ class EndForce {
   double rate(const VecX& fq, const VecX& fp);
 
  private:
+  // A contact by its number, with a coefficient that depends on its force.
+  using Loaded = std::pair<std::size_t, FrictionState>;
+  double follow_forces(std::vector<Loaded>& states) const;
   double settle_loads();
   double rate_in_time(double rest);
   double force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu);
@@ -87,7 +91,9 @@ class EndForce {
   bool any_adhesion_ = false;
   VecX weights_;  // of the forces of the rows in the force
   VecX mu_;
-  VecX forces_, accelerations_;  // of the rows, at the last evaluation
+  // Of the rows, at the last evaluation; measured_: the forces, where something sticks with a coefficient that depends
+  // on its force the bound on its friction in the place of that.
+  VecX forces_, accelerations_, measured_;
   MatX W_, dW_, A_;
   VecX v_, a_;
   SharedLoad system_;

@@ -130,6 +130,18 @@ void HeldNode::combine(const Acting& acting, const PersistentRows& phase) {
     give_.col(rows + slides + j) = by_friction.col(j);
   }
   weights_ = give_.leftCols(rows) * lambda + weight_ * pulls_;
+  friction_loads_.setZero(all);
+  friction_rates_.setZero(all);
+  for (std::size_t i = 0; i < first_.size() && acting.by_normal.size() > 0; ++i) {
+    const int j = phase.slide(i), normal = first_[i];
+    if (j < 0) continue;
+    const Eigen::Index r = constraints_.rows() + phase.row(i);
+    const double force = lambda[r] / weight_;
+    const Eigen::Vector2d d = lead_.block<2, 1>(normal + 1, j);
+    give_.block<2, 1>(normal + 1, r) -= acting.by_normal[j] * force * d;
+    friction_loads_.segment<2>(normal + 1) = acting.by_normal[j] * force * force * d;
+    friction_rates_.segment<2>(normal + 1) = -acting.by_time[j] * lambda[r] * d;
+  }
   gradients_ = columns_ * watch_.leftCols(rows);
   watched_ = columns_ * watch_;
   along_ = columns_ * lead_;
@@ -212,7 +224,8 @@ VecX HeldNode::speed_rates(const VecX& v) const {
 }
 
 VecX HeldNode::force_rate() const {
-  return constraints_.gradient_rates() * lambda_.head(constraints_.rows()) + weight_ * (columns_ * pull_rates_);
+  return constraints_.gradient_rates() * lambda_.head(constraints_.rows()) +
+         columns_ * (weight_ * pull_rates_ + friction_rates_);
 }
 
 }  // namespace contactvi

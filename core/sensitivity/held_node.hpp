@@ -34,6 +34,8 @@ class HeldNode {
     VecX lambda;
     double weight;
     VecX angles, mu, slopes;
+    // How the coefficients depend on the normal forces and the time; without slides that do so none.
+    VecX by_normal = {}, by_time = {};
   };
   // The rows at q and t [s], at the displacement X from the start of the step. phase: set to the contacts and joints of
   // the step; number: of the node, or of a stage, among its places. False where the gap of a contact has no second
@@ -72,8 +74,10 @@ class HeldNode {
   // which only constraints have any.
   const MatX& displacements() const { return displacements_; }
   const VecX& rates() const { return rates_; }
-  // Constant forces, with adhesion [N].
+  // Constant forces, with adhesion [N]; and these with what the length of the step, of which the impulses are forces,
+  // changes of the friction.
   const VecX& load() const { return load_; }
+  VecX length_change() const { return load_ + columns_ * friction_loads_; }
   // Derivatives by time, at a fixed configuration, of the force, of the watched speeds at a constant v, and of the
   // slips along their directions.
   VecX force_rate() const;
@@ -109,7 +113,8 @@ class HeldNode {
   VecX own_, own_rates_, own_change_;
   // Weights of the columns, for what is named like them.
   MatX watch_, give_, lead_;
-  VecX weights_;             // of the force
+  VecX weights_;  // of the force
+  VecX friction_loads_, friction_rates_;
   VecX pulls_, pull_rates_;  // of the forces of adhesion [N], and their rates
   VecX lambda_;
   double weight_ = 0.0;

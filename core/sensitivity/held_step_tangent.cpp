@@ -140,17 +140,27 @@ void HeldStepTangent::place_nodes() {
 // What acts at a node of the step.
 HeldNode::Acting HeldStepTangent::acting(int node) const {
   const HeldStepRecord& s = *record_;
-  HeldNode::Acting found{s.lambda.col(node), s.h * table_->e[node], VecX(slides_), VecX(slides_),
-                         VecX::Zero(varies_ ? slides_ : 0)};
+  const bool by_forces = slides_ > 0 && phase_.friction_by_forces();
+  HeldNode::Acting found{s.lambda.col(node),
+                         s.h * table_->e[node],
+                         VecX(slides_),
+                         VecX(slides_),
+                         VecX::Zero(varies_ ? slides_ : 0),
+                         VecX::Zero(by_forces ? slides_ : 0),
+                         VecX::Zero(by_forces ? slides_ : 0)};
   if (slides_ > 0) found.angles = s.angles.col(node);
   for (int j = 0; j < slides_; ++j) {
     const std::size_t i = slide_of_[static_cast<std::size_t>(j)];
     found.mu[j] = s.contacts[i].mu;
     if (!phase_.friction_varies(j)) continue;
-    const double speed = std::abs(s.slips(j, node));
-    found.mu[j] = phase_.friction(j, speed);
-    const ContactLaw& law = *scene_->law(s.contacts[i].point.guard);
-    if (law.mu.given()) found.slopes[j] = law.mu.slope(speed);
+    const double normal = found.lambda[fixed_ + phase_.row(i)] / found.weight;
+    const FrictionState friction =
+        phase_.friction(i, std::abs(s.slips(j, node)), normal, s.t + table_->d[node] * s.h, found.mu[j], true);
+    found.mu[j] = friction.mu;
+    found.slopes[j] = friction.by_slip;
+    if (!by_forces) continue;
+    found.by_normal[j] = friction.by_normal;
+    found.by_time[j] = friction.by_time;
   }
   return found;
 }
@@ -198,7 +208,7 @@ VecX HeldStepTangent::force_change(int node, const ContactStepDirection& d, cons
                                    const VecX& impulses) const {
   const HeldNode& at = nodes_[static_cast<std::size_t>(node)];
   return at.force_change() * dq + at.given() * impulses + at.by_friction() * friction_changes(d) +
-         (table_->e[node] * d.h) * at.load() + (d.t + table_->d[node] * d.h) * at.force_rate();
+         (table_->e[node] * d.h) * at.length_change() + (d.t + table_->d[node] * d.h) * at.force_rate();
 }
 
 // Of the numbers of the slips at the start.

@@ -270,16 +270,24 @@ void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   dG_ = dW_.transpose() * Z_ + Z_.transpose() * dW_ - Z_.transpose() * turned_;
 }
 
-// Changes of the coefficients of restitution, with those by the closing speed.
+// Changes of the coefficients of restitution, with those by the speeds before the impact and by its time.
 VecX ImpactTangent::restitution_changes(const ImpactDirection& d) const {
   VecX de = d.e;
   for (int i = 0; i < points(); ++i) {
     const ContactLaw* law = scene_->law(guard(i));
-    if (law == nullptr || !law->e.given() || !(points_[i].e > 0.0)) continue;
+    if (law == nullptr || !restitution_varies(*law) || !(points_[i].e > 0.0)) continue;
     int first = points_[i].row;  // of the points of the contact the one that closes fastest
     for (int k = 0; k < points(); ++k)
       if (guard(k) == guard(i) && gamma_[points_[k].row] < gamma_[first]) first = points_[k].row;
-    de[i] -= law->e.slope(-gamma_[first]) * dgamma_[first];
+    Eigen::Vector2d slip = Eigen::Vector2d::Zero(), dslip = slip;
+    if (points_[i].rows > 1) {
+      slip = gamma_.segment<2>(first + 1).cwiseQuotient(law->shares);
+      dslip = dgamma_.segment<2>(first + 1).cwiseQuotient(law->shares);
+    }
+    const double speed = slip.norm();
+    const Vec3 slopes = restitution_slopes(*law, -gamma_[first], speed, impact_->time);
+    de[i] += slopes[2] * d.time - slopes[0] * dgamma_[first];
+    if (speed > 0.0) de[i] += slopes[1] * slip.dot(dslip) / speed;
   }
   return de;
 }
@@ -289,11 +297,19 @@ VecX ImpactTangent::friction_changes(const ImpactDirection& d) const {
   VecX dmu = d.mu;
   for (int i = 0; i < points(); ++i) {
     const ContactLaw* law = scene_->law(guard(i));
-    if (law == nullptr || !law->mu.given() || points_[i].rows == 1) continue;
+    if (law == nullptr || !(law->mu.given() || law->mu_of_state != nullptr) || points_[i].rows == 1) continue;
     const Eigen::Vector2d slip = gamma_.segment<2>(points_[i].row + 1);
+    const double speed = slip.norm();
     dmu[i] = 0.0;
-    if (slip.norm() > 0.0)
-      dmu[i] = law->mu.slope(slip.norm()) * slip.normalized().dot(dgamma_.segment<2>(points_[i].row + 1));
+    double slope = 0.0;
+    if (law->mu_of_state != nullptr) {
+      const FrictionState found = impact_friction(*law, speed, impact_->time, true);
+      dmu[i] = found.by_time * d.time;
+      slope = found.by_slip;
+    } else if (speed > 0.0) {
+      slope = law->mu.slope(speed);
+    }
+    if (speed > 0.0) dmu[i] += slope * slip.normalized().dot(dgamma_.segment<2>(points_[i].row + 1));
   }
   return dmu;
 }

@@ -15,6 +15,7 @@
 #include "geometry/contact_tangent.hpp"
 #include "geometry/surface_velocity_tangent.hpp"
 #include "impact/sequence.hpp"
+#include "model/restitution.hpp"
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/poisson_tangent.hpp"
@@ -47,7 +48,7 @@ class ImpactTangent {
   // Whether an impulse of a point depends on the coefficient of restitution of its pair.
   bool takes_restitution(int point) const {
     const ContactLaw* law = scene_->law(guard(point));
-    return points_[point].e > 0.0 && (law == nullptr || !law->e.given());
+    return points_[point].e > 0.0 && (law == nullptr || !restitution_varies(*law));
   }
   // Which of its points this is; -1: none.
   int find(const ContactPoint& point) const;

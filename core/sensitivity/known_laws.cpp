@@ -17,9 +17,17 @@ void require_plain_law(const Scene& scene, int guard, double time) {
                      "Make the run again");
 }
 
+void refuse_friction_by_state(const Scene& scene, int guard, double time) {
+  if (!scene.friction_by_state(guard)) return;
+  throw NoDerivative({"law", guard, time},
+                     "A dense step has friction that depends on the normal force, without a derivative there",
+                     "a coefficient that is a number, or depends on the speed of the slip", "friction_of_state=",
+                     "Use contact_mode='events', or give friction= a number, a table or a function of the speed");
+}
+
 bool takes_friction(const Scene& scene, int guard, bool sticks) {
   const ContactLaw* law = scene.law(guard);
-  return law == nullptr || !(law->mu.given() || (sticks && law->static_mu >= 0.0));
+  return law == nullptr || !(law->mu.given() || law->mu_of_state != nullptr || (sticks && law->static_mu >= 0.0));
 }
 
 }  // namespace contactvi

@@ -43,7 +43,8 @@ bool SlipStart::take(const HeldStepRecord& step, PersistentRows& phase, std::vec
   for (std::size_t i = 0; i < step.contacts.size(); ++i) {
     const int j = phase.slide(i);
     if (j < 0) continue;
-    start_.mu[j] = phase.friction_varies(j) ? phase.friction(j, std::abs(step.slips(j, 0))) : step.contacts[i].mu;
+    start_.mu[j] =
+        phase.friction(i, std::abs(step.slips(j, 0)), step.contacts[i].force[0], step.t, step.contacts[i].mu, false).mu;
     rows_of_slides_[static_cast<std::size_t>(j)] = tree.elements.constraint_rows + phase.row(i);
   }
   known_ = true;
@@ -109,18 +110,38 @@ VecX SlipStart::across(const Place& at) {
   VecX loaded = node_.load();
   masses_.solve_mass(loaded);
   a_ += loaded;
-  MatX forces = node_.gradients(), watched, along;
-  for (Eigen::Index j = 0; j < slides; ++j)
-    forces.col(rows_of_slides_[static_cast<std::size_t>(j)]) -= at.mu[j] * node_.along().col(j);
-  masses_.solve_masses(forces);
+  MatX watched, along;
   node_.change_speeds(v_, watched, along);
-  VecX c = node_.watched().transpose() * a_ + watched * v_, f;
+  VecX c = node_.watched().transpose() * a_ + watched * v_, f, mu = at.mu;
   c += node_.speed_rates(v_);
-  const MatX E = node_.watched().transpose() * forces;
-  system_.compute(E.topRows(rows), scene_->tree.elements.constraint_rows);
-  system_.solve(c.head(rows), VecX::Zero(rows), f);
+  MatX forces, E;
+  FrictionRounds rounds;
+  do {
+    forces = node_.gradients();
+    for (Eigen::Index j = 0; j < slides; ++j)
+      forces.col(rows_of_slides_[static_cast<std::size_t>(j)]) -= mu[j] * node_.along().col(j);
+    masses_.solve_masses(forces);
+    E = node_.watched().transpose() * forces;
+    system_.compute(E.topRows(rows), scene_->tree.elements.constraint_rows);
+    system_.solve(c.head(rows), VecX::Zero(rows), f);
+  } while (phase_->friction_by_forces() && rounds.go_on(follow_forces(at, f, mu)));
+  known_ = known_ && rounds.settled();
   a_ += forces * f;
   return c.tail(slides) + E.bottomRows(slides) * f;
+}
+
+// By how much of themselves coefficients of friction change with the forces f that were found with them.
+double SlipStart::follow_forces(const Place& at, const VecX& f, VecX& mu) const {
+  double change = 0.0;
+  const VecX slips = node_.slips(v_);
+  for (std::size_t i = 0; i < record_->contacts.size(); ++i) {
+    const int j = phase_->slide(i);
+    if (j < 0 || !phase_->friction_by_state(i)) continue;
+    const double force = f[rows_of_slides_[static_cast<std::size_t>(j)]];
+    const double found = phase_->friction(i, std::abs(slips[j]), force, at.t, mu[j], false).mu;
+    change = FrictionRounds::larger(change, found, mu[j]);
+  }
+  return change;
 }
 
 // From the derivatives of the accelerations to those of the directions for which they are zero. What cannot move

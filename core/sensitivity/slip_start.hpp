@@ -43,6 +43,7 @@ class SlipStart {
   VecX across(const Place& place);
   template <class Size, class Move>
   MatX differences(Eigen::Index count, Size size, Move move);
+  double follow_forces(const Place& at, const VecX& f, VecX& mu) const;
   void solve_turns(const MatX& mobility);
 
   const Scene* scene_;

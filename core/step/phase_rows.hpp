@@ -25,9 +25,17 @@ class PhaseRows {
   // Whether a row is one of velocities, W.v = 0, which has no displacement that it is the rate of.
   virtual bool by_rate(int row) const = 0;
   virtual const std::vector<Slide>& slides() const = 0;
-  // Whether the coefficient of a slide depends on its speed, and the coefficient at a speed [m/s].
+  // Whether the coefficient of a slide depends on its speed, and whether that of some slide does on its normal force.
   virtual bool friction_varies(int slide) const = 0;
-  virtual double friction(int slide, double speed) const = 0;
+  virtual bool friction_by_forces() const = 0;
+  // A slide with its speed [m/s], its normal force [N] and the time [s]; its coefficient is set by set_friction, which
+  // tells whether some has changed by more than rounding.
+  struct SlideState {
+    int slide;
+    double speed, normal, time;
+    double* mu;
+  };
+  virtual bool set_friction(const std::vector<SlideState>& slides) const = 0;
   // Whether any contact adheres.
   virtual bool any_adheres() const = 0;
   // What is set at a configuration of the step: displacements phi (count,), gradients W (nv, count), tangents

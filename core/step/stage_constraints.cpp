@@ -23,6 +23,7 @@ constexpr double kZeroRow = 1e-20;  // share of the largest diagonal below which
 // [m] to which the rows of a phase hold at the end of a step; and of the speeds, their rates.
 constexpr double kHeld = 1e-11, kHeldRate = 1e-10;
 constexpr int kMostTurns = 7;    // see find_slips
+constexpr int kMostRounds = 40;  // of an impulse at the end and the coefficients of friction that depend on it
 constexpr double kAimed = 1e-3;  // of the largest slip of a contact on a path: what is less may be an error of the path
 constexpr double kAlike = 0.05;  // of the length of a step: a step that differs by less has nearly the same matrix
 }  // namespace
@@ -175,7 +176,7 @@ void StageConstraints::find_slips(StepEquations& equations, Stages& stages) {
       changed_turns_ = true;
     }
   }
-  for (int k = 1; k <= stages_; ++k) follow_slips(k);
+  follow_slips(1, stages_);
 }
 
 // The charts of spherical joints where the stages are.
@@ -481,6 +482,7 @@ void StageConstraints::correct(StepEquations& equations, Stages& stages, StiffTe
     for (int j = 0; j < slides_; ++j)
       angles_(j, k) += std::clamp(change_[direction_at(k, j)], -SlipProjection::kFarTurn, SlipProjection::kFarTurn);
   accelerate(stages, du, push);
+  follow_forces();
   for (int k = 1; k < stages_ && slides_ > 0; ++k) direct(nodes_[k], k);
   add_impulses();
 }
@@ -507,9 +509,19 @@ void StageConstraints::accelerate(Stages& stages, const VecX& du, const VecX& pu
 // The impulse at the end where contacts slide, in momentum and velocity there.
 bool StageConstraints::close_slides(StepEquations& equations, VecRef p1) {
   const Node& end = nodes_[stages_];
-  return slip_projection_.apply(equations, end.W, end.T, end.rate, end.drift, phase_->slides(), fixed_,
-                                friction_.col(stages_), angles_.col(stages_ - 1), p1, v1_, lambda_.col(stages_),
-                                angles_.col(stages_), slips_.col(stages_));
+  const auto apply = [&] {
+    return slip_projection_.apply(equations, end.W, end.T, end.rate, end.drift, phase_->slides(), fixed_,
+                                  friction_.col(stages_), angles_.col(stages_ - 1), p1, v1_, lambda_.col(stages_),
+                                  angles_.col(stages_), slips_.col(stages_));
+  };
+  if (!phase_->friction_by_forces()) return apply();
+  const VecX free = p1;
+  for (int k = 0; k < kMostRounds; ++k) {
+    p1 = free;
+    if (!apply()) return false;
+    if (!follow_slips(stages_, stages_)) return true;
+  }
+  return false;
 }
 
 void StageConstraints::give_up() {

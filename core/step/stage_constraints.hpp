@@ -90,6 +90,8 @@ class StageConstraints : private StageNodes {
   const LobattoTable& table() const { return *table_; }
   // Of a force, its part at a node.
   double impulse_of(int node, double force) const { return h_ * table_->e[node] * force; }
+  // The time of a node [s].
+  double time_of(int node) const { return nodes_[static_cast<std::size_t>(node)].t; }
   // Whether rows share a load, so that their impulses are not the only ones that keep them.
   bool shares_load() const { return system_.is_redundant(); }
   // Whether sliding contacts do: then their impulses, of which any split keeps the rows, decide about the motion.

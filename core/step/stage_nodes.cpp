@@ -33,6 +33,8 @@ void StageNodes::hold(PhaseRows* rows) {
   slides_ = rows != nullptr ? static_cast<int>(rows->slides().size()) : 0;
   rolling_ = 0;
   for (int r = 0; r < rows_ - fixed_; ++r) rolling_ += rows->by_rate(r) ? 1 : 0;
+  varies_ = false;
+  for (int j = 0; j < slides_; ++j) varies_ |= rows->friction_varies(j);
   nodes_[0].q.setConstant(std::numeric_limits<double>::quiet_NaN());  // its rows are other ones
   resize();
 }
@@ -90,9 +92,23 @@ void StageNodes::direct(Node& node, int number) {
   to_chart(node, node.across, node.chart_across);
 }
 
-void StageNodes::follow_slips(int node) {
-  for (int j = 0; j < slides_; ++j)
-    if (phase_->friction_varies(j)) friction_(j, node) = phase_->friction(j, std::abs(slips_(j, node)));
+bool StageNodes::follow_slips(int from, int to) {
+  if (!varies_) return false;
+  slide_states_.clear();
+  for (int k = from; k <= to; ++k)
+    for (int j = 0; j < slides_; ++j) {
+      if (!phase_->friction_varies(j)) continue;
+      const double impulse = lambda_(fixed_ + phase_->slides()[static_cast<std::size_t>(j)].normal, k);
+      slide_states_.push_back(
+          {j, std::abs(slips_(j, k)), impulse / (h_ * table_->e[k]), t0_ + table_->d[k] * h_, &friction_(j, k)});
+    }
+  return phase_->set_friction(slide_states_);
+}
+
+void StageNodes::follow_forces() {
+  if (slides_ == 0 || !phase_->friction_by_forces()) return;
+  follow_slips(0, stages_ - 1);
+  direct(nodes_[0], 0);
 }
 
 // Gradients by the chart at the start of the step.
@@ -132,7 +148,7 @@ void StageNodes::begin(StepEquations& equations, const VecCRef& q0, const VecCRe
     angles_.row(j).setConstant(phase_->start_angle(j, slip, v0_.cwiseAbs().maxCoeff()));
     slips_.row(j).setConstant(slip.dot(Eigen::Vector2d(std::cos(angles_(j, 0)), std::sin(angles_(j, 0)))));
   }
-  for (int k = 0; k <= stages_; ++k) follow_slips(k);
+  follow_slips(0, stages_);
   direct(nodes_[0], 0);
 }
 

@@ -48,8 +48,11 @@ class StageNodes {
   void place(Node& node, int number);
   // The directions of the slips at a node, and what follows from them.
   void direct(Node& node, int number);
-  // The coefficients at a node, where they depend on the speeds of the slips there.
-  void follow_slips(int node);
+  // The coefficients at nodes from one to another one, where they depend on the slips and the forces there. Whether
+  // some has changed by more than rounding.
+  bool follow_slips(int from, int to);
+  // Where they depend on the forces: the same with the impulses as they are, and the directions of what they act along.
+  void follow_forces();
   // Sets impulse_ to what acts at a node, in the chart at the start or in the node's axes.
   void impulse_at(int node, bool chart);
   // The start momentum with all impulses but the last one; on spherical joints in the frame of the start.
@@ -78,6 +81,8 @@ class StageNodes {
   void place_rates(const Stages& stages);
 
   double t0_ = 0.0;
+  bool varies_ = false;  // whether the coefficient of some slide does
+  std::vector<PhaseRows::SlideState> slide_states_;
   VecX q_stage_, X_stage_, phi_;
 };
 

@@ -11,11 +11,21 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi.verify import systems
 from derivatives.differences import transpose_error
 from derivatives.test_persistent_sensitivity import Start, check
 
 SLOW = [pytest.mark.slow]
 ORDERS = [{"dt": 0.01, "order": 2}, {"dt": 0.01, "order": 4}, {"dt": 0.02, "order": 8}]
+
+
+def rubber(slip, normal, t):
+    """Less friction under more load and by and by; an impact has an infinite one."""
+    loaded = np.minimum(normal, 100.0)
+    return 0.3 * (loaded / 5.0) ** (-1.0 / 3.0) * (1.0 + 0.5 * np.exp(-2.0 * slip)) * (1.0 - 0.3 * np.sin(2.0 * t))
+
+
+RUBBER = {"friction_of_state": rubber}
 STRIBECK = {"friction": lambda v: 0.2 + 0.2 * math.exp(-2.0 * v), "static_friction": 0.5}
 
 
@@ -69,6 +79,14 @@ def held_up() -> Start:
     return scene, np.array([0.1, 0.2, 0.1, 0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.5, 0.0, -2.0, 3.0, 0.5])
 
 
+def tumbling() -> Start:
+    """Return a rod that falls on its tip, which slides then: the load depends on the friction."""
+    scene, q = systems.rod_on_ground(1.0, 0.02, 0.0, 0.3, 9.81)
+    scene.set_contact(friction_of_state=rubber)
+    q[1] += 0.005
+    return scene, q, np.array([1.5, 0.0, 0.0])
+
+
 # A ball that falls may be moved anywhere, a box that lies flat in its plane.
 ALL = list(range(12))
 FLAT = [0, 1, 6, 7]
@@ -93,6 +111,11 @@ RUNS: dict[str, tuple[Callable[[], Start], list[int], float]] = {
     "a box comes to rest, friction by speed": (lambda: box(STRIBECK, (0.6, 0.52, 0.0)), FLAT, 0.4),
     "a box slides, friction along an axis": (lambda: box(ALONG), FLAT, 0.2),
     "a box sticks to a belt and slips again": (lambda: box(STATIC, (0.3, -0.15, 0.0), **FASTER), FLAT, 0.8),
+    "a ball bounces, friction of the state": (lambda: ball(RUBBER, 0.7, 0.3), ALL, 0.4),
+    "a ball slips, friction of the state": (lambda: ball(RUBBER), ALL, 0.12),
+    "a ball slips on a belt, friction of the state": (lambda: ball(RUBBER, **SWINGING), ALL, 0.12),
+    "a ball comes to roll, friction of the state": (lambda: ball(RUBBER), ALL, 0.4),
+    "a rod that falls, friction of the state": (tumbling, [0, 1, 2, 3, 4, 5], 0.3),
     "a ball is let go": (held_up, [*FLAT, 9, 10, 11], 0.6),
     "a box comes to rest under adhesion": (lambda: box(PULLED), FLAT, 0.4),
 }
@@ -118,6 +141,22 @@ def test_runs_with_laws_of_friction(name: str, options: dict[str, Any]) -> None:
     traj = check(make(), directions, (1e-4 * size, 5e-5 * size), duration=duration, **options)
     assert traj.status.ok
     assert transpose_error(traj, ["q0", "v0"]) <= 1e-11
+
+
+def test_dense_steps_have_no_derivative_of_the_state() -> None:
+    """They say so."""
+    scene, q, v = ball(RUBBER)
+    run = cvi.simulate(scene, q, v, duration=0.12, dt=0.01, record="gradient", contact_mode="steps")
+    with pytest.raises(cvi.NotDifferentiable, match="normal force"):
+        run.sensitivity()
+
+
+def test_points_of_a_face_have_no_derivative_of_the_state() -> None:
+    """How they share their load, which the laws of rigid bodies leave open, decides about their friction."""
+    scene, q, v = box(RUBBER)
+    run = cvi.simulate(scene, q, v, duration=0.2, dt=0.01, order=4, record="gradient")
+    with pytest.raises(cvi.NotDifferentiable, match="share their load"):
+        run.sensitivity()
 
 
 def test_coefficients_that_are_no_numbers() -> None:
