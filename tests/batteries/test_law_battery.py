@@ -58,7 +58,23 @@ def restitution(rng: np.random.Generator) -> dict[str, object]:
             return {"restitution": e}
 
 
-def drawn(seed: int) -> tuple[cvi.Scene, np.ndarray, np.ndarray, dict[str, object]]:
+def of_state(rng: np.random.Generator) -> tuple[dict[str, object], dict[str, object]]:
+    """Return arguments of set_contact for laws of friction and of restitution by the state of a contact."""
+    mu, load, rate = rng.uniform(0.1, 0.6), rng.uniform(1.0, 50.0), rng.uniform(0.0, 10.0)
+    falls, wet = rng.uniform(0.0, 0.5, 2)
+    e, scale = rng.uniform(0.0, 0.9), rng.uniform(0.3, 3.0)
+
+    def friction(slip, normal, t):
+        pressed = (1.0 + np.minimum(normal, 1e6) / load) ** (-1.0 / 3.0)
+        return mu * pressed * (1.0 - falls * slip / (0.5 + slip)) * (1.0 + wet * np.cos(rate * t))
+
+    def restitution(closing, slip, t):
+        return e * np.exp(-closing / scale) / (1.0 + slip) * (1.0 - 0.5 * wet * np.sin(rate * t) ** 2)
+
+    return {"friction_of_state": friction}, {"restitution_of_state": restitution}
+
+
+def drawn(seed: int, by_state: bool = False) -> tuple[cvi.Scene, np.ndarray, np.ndarray, dict[str, object]]:
     """Return a scene, its start and the options of its run."""
     rng = np.random.default_rng(9000 + seed)
     slope = float(rng.choice([0.0, 0.0, rng.uniform(0.0, 0.3)]))
@@ -75,6 +91,8 @@ def drawn(seed: int) -> tuple[cvi.Scene, np.ndarray, np.ndarray, dict[str, objec
         else:
             scene.add_capsule(name, 0.05, 0.15)
         rubs, bounces = friction(rng), restitution(rng)
+        if by_state:
+            rubs, bounces = of_state(rng)
         if "spinning_radius" in rubs:  # beside which there is no other law of impacts
             bounces = {"restitution": bounces["restitution"]}
         scene.set_contact("ground", name, **rubs, **bounces)
@@ -139,9 +157,9 @@ def dense_errors(traj: cvi.Trajectory) -> np.ndarray:
     return found
 
 
-def examine(seed: int) -> tuple[bool, list[str]]:
+def examine(seed: int, by_state: bool = False) -> tuple[bool, list[str]]:
     """Return whether a run came to its end, and what is wrong with it."""
-    scene, q, v, options = drawn(seed)
+    scene, q, v, options = drawn(seed, by_state)
     traj = cvi.simulate(scene, q, v, throw=False, **options)
     wrong = []
     scale = 1.0 + float(np.max(np.abs(traj.kinetic_energy)))
@@ -167,6 +185,15 @@ def examine(seed: int) -> tuple[bool, list[str]]:
 def test_drawn_laws(seed: int) -> None:
     """Losses are losses, energies balance and nothing overlaps."""
     ended, wrong = examine(seed)
+    assert not wrong, wrong
+    assert ended
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_drawn_laws_of_the_state(seed: int) -> None:
+    """The same of friction by slip, normal force and time, and restitution by closing speed, slip and time."""
+    ended, wrong = examine(seed, by_state=True)
     assert not wrong, wrong
     assert ended
 
