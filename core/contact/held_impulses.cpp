@@ -24,6 +24,7 @@ void HeldImpulses::take(const std::vector<PersistentContact>& contacts, const Pe
         const double angle = step.slip_angles()(j, k), friction = step.slide_friction()(j, k) * impulse[0];
         impulse.tail<2>() = -friction * Eigen::Vector2d(std::cos(angle), std::sin(angle));
         sum.work -= friction * step.slips()(j, k);
+        if (rows.friction_by_state(i)) sum.least = std::min(sum.least, impulse[0]);
       } else if (contacts[i].mu > 0.0) {
         impulse.tail<2>() = step.phase_impulses().block(r + 1, k, 2, 1);
         if (rows.friction_by_state(i)) {
@@ -74,17 +75,26 @@ double HeldImpulses::bound(std::size_t i) const {
   return rows_->friction_by_state(i) ? impulses_[i].bound : (*contacts_)[i].mu * impulses_[i].local[0];
 }
 
-bool HeldImpulses::are_admissible() const {
+double HeldImpulses::slack() const {
   double largest = 0.0;
   for (const Impulse& impulse : impulses_) largest = std::max(largest, impulse.local.norm());
-  const double slack = std::max(kAdmitted * largest, rounding_);
+  return std::max(kAdmitted * largest, rounding_);
+}
+
+bool HeldImpulses::are_admissible() const {
+  const double slack = this->slack();
   for (std::size_t i = 0; i < impulses_.size(); ++i) {
     const Vec3& impulse = impulses_[i].local;
     if (impulse[0] < -slack) return false;
     // What slides is on its cone.
     if ((*contacts_)[i].sticks && impulse.tail<2>().norm() > std::max(0.0, bound(i)) + slack) return false;
   }
-  return true;
+  return !some_node_pulls();
+}
+
+bool HeldImpulses::some_node_pulls() const {
+  const double slack = this->slack();
+  return std::any_of(impulses_.begin(), impulses_.end(), [slack](const Impulse& i) { return i.least < -slack; });
 }
 
 double HeldImpulses::friction_work() const {

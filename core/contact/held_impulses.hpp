@@ -18,13 +18,16 @@ class HeldImpulses {
     Vec3 normal = Vec3::Zero();  // of it, what acts along the normals of the nodes
     double work = 0.0;           // of friction [J]
     double bound = 0.0;          // of what sticks with a coefficient that depends on its force: of its friction [N s]
+    double least = 0.0;          // of what slides with such a coefficient: normal one of a node, if it pulls [N s]
   };
 
   // Takes those of the step, or the part of one, that was solved last.
   void take(const std::vector<PersistentContact>& contacts, const PersistentRows& rows, const StageConstraints& step);
   const Impulse& of(std::size_t i) const { return impulses_[i]; }
-  // Whether all of them push and are in their cones.
+  // Whether all of them push and are in their cones; where friction depends on the force, those of each node push.
   bool are_admissible() const;
+  // Whether the last of these is what they are not: in a step so short that forces are rounding, or after a blow.
+  bool some_node_pulls() const;
   double friction_work() const;  // [J], <= 0
   // The mean normal of a contact whose normal turns in the step and is this one at its end: that of its normal
   // impulses, turned on towards all of the impulse, by an angle of second order, where this would leave its cone.
@@ -34,6 +37,7 @@ class HeldImpulses {
   void share_friction();
 
   double bound(std::size_t i) const;
+  double slack() const;
 
   const std::vector<PersistentContact>* contacts_ = nullptr;
   const PersistentRows* rows_ = nullptr;

@@ -64,7 +64,8 @@ class ContactModes final : public SwitchFunctions {
 
   // Whether the impulses of the step, or the part of it that was solved last, are such as contacts may have.
   bool admits();
-  bool shares_load() const { return shares_; }
+  // If not: whether shorter steps do not help, but contact steps do.
+  bool needs_contact_steps() const { return shares_ || impulses_.some_node_pulls(); }
   // That step is taken: its forces are recorded, half of each impulse at either end with the mean of its normals, and
   // the contacts are where it ends. wanted: whether forces are wanted in the record.
   void commit(double time, long step, bool wanted, Recording& recording);

@@ -466,7 +466,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   if (searched && (holds || keeps_held_steps()) && !solve_again(h, interval.tau)) return reject();
   if (holds) {
     if (sinks_deeper(recording, at + h)) return reject();
-    if (!modes_.admits()) return modes_.shares_load() ? leave_to_contact_steps(at) : reject();
+    if (!modes_.admits()) return modes_.needs_contact_steps() ? leave_to_contact_steps(at) : reject();
     if (keeps_held_steps()) keep_held_step(switches);
     modes_.commit(at, state_.step, options_.record_contacts, recording);
   } else if (keeps_held_steps()) {
