@@ -365,6 +365,17 @@ def test_extending_own_friction_bound_runs(tmp_path):
     assert abs(left - expected) < 1e-5
 
 
+def test_extending_own_restitution_of_state_runs(tmp_path):
+    found, law = map(float, run_marked("own-restitution-of-state", tmp_path)[0].split())
+    assert abs(found - law) < 1e-9
+
+
+def test_extending_own_friction_of_state_runs(tmp_path):
+    """A ball without spin slides down an incline by the friction of its weight: constant acceleration."""
+    found, expected = map(float, run_marked("own-friction-of-state", tmp_path)[0].split())
+    assert abs(found - expected) < 1e-10
+
+
 def test_extending_own_friction_runs(tmp_path):
     """The block slips again after one period of its limit cycle (tests/oracles/friction_laws.py)."""
     block = friction_laws.Oscillator(2.0, 100.0, 2.0 * 9.81, 0.1, 0.6, friction_laws.stribeck(0.6, 0.3, 0.2))

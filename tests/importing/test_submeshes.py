@@ -8,7 +8,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.importing.submeshes import arrays_of, surface_of, unused_vertices, volume_of
-from contactvi.playback.visuals import from_scene
+from contactvi.playback.scene_visuals import from_scene
 
 CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 FACES = np.array(

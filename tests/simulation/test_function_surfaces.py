@@ -474,7 +474,7 @@ def test_pickled_scenes_keep_it() -> None:
 
 def test_the_grid_is_drawn() -> None:
     """Vertices of the drawn mesh lie on the surface; that of a distance is closed and turned outward."""
-    from contactvi.playback.visuals import from_scene
+    from contactvi.playback.scene_visuals import from_scene
 
     scene = with_ball(**WAVES)
     scene.add_surface("dome", distance=lambda p: np.linalg.norm(p, axis=1) - 0.5)
