@@ -130,8 +130,9 @@ void IslandGraph::renew(int g, double margin) {
     neighbours_[g].push_back({other, guard, mark});
     neighbours_[other].push_back({g, guard, mark});
   }
-  // Twice the margin has up to eight times the neighbours.
-  const double looks = kLook * static_cast<double>(neighbours_[g].size()) * intervals_[g];
+  // Twice the margin has up to eight times the neighbours. After clear intervals, in which nobody looked at them, they
+  // cost nothing.
+  const double looks = was_clear_ ? 0.0 : kLook * static_cast<double>(neighbours_[g].size()) * intervals_[g];
   if (looks > count)
     intervals_[g] = std::max(kFewIntervals, 0.5 * intervals_[g]);
   else if (16.0 * looks < count)
