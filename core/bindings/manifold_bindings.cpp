@@ -267,8 +267,7 @@ void expose_manifold(nb::module_& m) {
       "its distance is larger than their least gap.");
   m.def("far_vertices", &far_vertices, "vertices"_a, "directions"_a, "depth"_a,
         "Of many vertices, (n, 3): per unit direction, (k, 3), the farthest one, the first of several, and those that "
-        "miss "
-        "it by at most a depth [m]. Empty for few vertices.");
+        "miss it by at most a depth [m]. Empty for few vertices.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
         "enough"_a = std::numeric_limits<double>::infinity(),
         "(least gap over all features but these, slack included; that feature's gap, normal and point). Infinite where "

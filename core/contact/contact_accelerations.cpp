@@ -87,7 +87,7 @@ bool ContactStep::solve_forces(VecX& f) {
   FrictionRounds rounds;
   do {
     if (!solve_rows(force_cones_, G_end_, b_, kNoise * b_.cwiseAbs().maxCoeff(), f, true, {0.0, kAgree})) return false;
-  } while (follows_forces_ && rounds.go_on(follow_forces(f)));
+  } while (follows_forces_ && rounds.go_on(follow_forces(f, 1.0, force_cones_)));
   if (!rounds.settled()) return false;
   double stiffest = 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
@@ -109,13 +109,14 @@ void ContactStep::set_force_coefficients() {
   for (std::size_t i = 0; i < contacts_.size(); ++i) force_cones_[friction_rows_ + i].mu = friction_states_[i].mu;
 }
 
-// By how much of themselves coefficients of friction change with the forces that were found with them.
-double ContactStep::follow_forces(const VecX& f) {
-  for (std::size_t i = 0; i < contacts_.size(); ++i) friction_states_[i].normal = f[row_[i]];
+// By how much of themselves coefficients of friction change with the forces that were found with them: what acts in the
+// rows for this time, in the cones of joints and contacts.
+double ContactStep::follow_forces(const VecX& impulses, double time, std::vector<ConeContact>& cones) {
+  for (std::size_t i = 0; i < contacts_.size(); ++i) friction_states_[i].normal = impulses[row_[i]] / time;
   set_friction(*scene_, friction_states_);
   double change = 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i)
-    change = FrictionRounds::larger(change, friction_states_[i].mu, force_cones_[friction_rows_ + i].mu);
+    change = FrictionRounds::larger(change, friction_states_[i].mu, cones[friction_rows_ + i].mu);
   return change;
 }
 

@@ -253,8 +253,7 @@ class ContactStep final : public Stepper {
   }
   void set_pulls(double h);
   void follow_slips(double h);
-  double follow_end_forces(const VecX& lambda);
-  double follow_forces(const VecX& f);
+  double follow_forces(const VecX& impulses, double time, std::vector<ConeContact>& cones);
   bool solve_ends(VecX& lambda);
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1, const MotionValues& motions = {});
@@ -317,7 +316,6 @@ class ContactStep final : public Stepper {
   bool adheres_ = false, friction_varies_ = false;  // whether some contact does, whether that of some contact does
   bool follows_forces_ = false;                     // whether that of some contact depends on its normal force
   std::vector<FrictionState> friction_states_;      // of the contacts, as their coefficients were asked for last
-  VecX end_friction_;                               // coefficients in the velocity impulse, per contact
   VecX pull_, pull_end_;  // impulses of adhesion along the rows, in the step's first half and its second one [N s]
   VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, p_given_, q1_, p1_, v1_, dv_;
   MatX DinvW_, S_, G_, MinvW_, right_sides_, G_end_, G_sub_, rates_;

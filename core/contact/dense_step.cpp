@@ -6,7 +6,6 @@
 #include "base/tolerances.hpp"
 #include "cone/turning_law.hpp"
 #include "contact/dense_energy.hpp"
-#include "model/restitution.hpp"
 #include "step/path.hpp"
 #include "step/projection.hpp"
 
@@ -17,19 +16,14 @@ constexpr int kStageIterations = 40;
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
 constexpr int kGapIterations = 30, kFirstGapIterations = 3;
-constexpr double kGapSolved = 1e-11;      // [m] to which gaps of loaded contacts are zero
-constexpr double kGapStalled = 0.9;       // share of the error that an iteration after the first ones may leave
-constexpr int kLawRounds = 4;             // times that the whole law is solved again for loaded gaps that open
-constexpr double kLawStalled = 0.5;       // share of the widest such gap that a round may leave
-constexpr double kNormalsSolved = 1e-12;  // residual of the normal problem in a gap iteration
-constexpr int kAdditions = 16;            // times that points join the candidates of one step
-constexpr double kTouching = 1e-11;       // [m] a closed point without load takes part in the velocity impulse
-constexpr double kFastFall = 4.0;         // contacts that close faster than this many g h have restitution
-// Coefficients of friction that depend on the forces of a problem are found with them in so many rounds at most, to
-// this of themselves, which is below the error of the law. Contacts may pass a load to and fro: after the first rounds
-// they go half of the way.
-constexpr double kFrictionNear = 1e-6;
-constexpr int kFrictionRounds = 16, kWholeRounds = 2;
+constexpr double kGapSolved = 1e-11;       // [m] to which gaps of loaded contacts are zero
+constexpr double kGapStalled = 0.9;        // share of the error that an iteration after the first ones may leave
+constexpr int kLawRounds = 4;              // times that the whole law is solved again for loaded gaps that open
+constexpr double kLawStalled = 0.5;        // share of the widest such gap that a round may leave
+constexpr double kNormalsSolved = 1e-12;   // residual of the normal problem in a gap iteration
+constexpr int kAdditions = 16;             // times that points join the candidates of one step
+constexpr double kTouching = 1e-11;        // [m] a closed point without load takes part in the velocity impulse
+constexpr double kFastFall = 4.0;          // contacts that close faster than this many g h have restitution
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
@@ -102,28 +96,8 @@ void DenseStep::note(const BlockResult& result) {
 BlockResult DenseStep::solve_law(double bound_energy, VecX& v, const Constraints& node) {
   if (problems_) problems_->add(ProblemLog::Blocks{rows_.problem(), node.W, lambda_, bound_energy});
   BlockResult result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
-  if (follows_forces_) {
-    FrictionRounds rounds(kFrictionNear, kFrictionRounds);
-    double off = 0.0;  // what the last change of the coefficients is worth, as a speed
-    for (int k = 0;; ++k) {
-      VecX before(static_cast<Eigen::Index>(active_.size()));
-      for (std::size_t i = 0; i < active_.size(); ++i)
-        before[static_cast<Eigen::Index>(i)] = candidates_.contacts()[active_[i]].mu;
-      const double change = follow_forces();
-      off = 0.0;
-      for (std::size_t i = 0; i < active_.size(); ++i) {
-        double& mu = candidates_.contacts()[active_[i]].mu;
-        const double old = before[static_cast<Eigen::Index>(i)];
-        off = std::max(off, std::abs(mu - old) * lambda_[rows_.block(i).row] * rows_.mobility(i));
-        // Points that share a load may pass it to and fro: from then on half of the way.
-        if (k >= kWholeRounds && mu > 0.0) rows_.problem().contacts[i].mu = mu = std::sqrt(mu * old);
-      }
-      if (!rounds.go_on(change)) break;
-      result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
-    }
-    if (!rounds.settled()) result.residual = std::max(result.residual, off / result.scale);
-  }
   note(result);
+  if (follows_forces_) settle_friction(bound_energy, v, result);
   return result;
 }
 
@@ -313,19 +287,6 @@ Vec3 DenseStep::end_tangent(const DenseContact& c) {
                                           : carried_tangent(c.t1_0, c.at0.normal, c.at1.normal);
 }
 
-// The speed with which active contact i closes at the start of the step, and the restitution of one that closes fast.
-void DenseStep::set_restitution(std::size_t i) {
-  DenseContact& c = candidates_.contacts()[active_[i]];
-  c.closing = rows_.velocity(i, 0, v0_);
-  const ContactLaw* law = scene_->law(c.point.guard);
-  const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
-  if (!(c.closing < -fast) || law == nullptr || !restitution_varies(*law)) return;
-  Vec3 slip = Vec3::Zero();
-  if (c.rows() > 1)
-    slip = c.frame(false).slip(Eigen::Vector2d(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_)) + c.drift0);
-  c.restitution = std::max(0.0, restitution_at(*law, -c.closing, slip.norm(), t_));
-}
-
 // The whole law, with the gaps linearised about the end of the present motion, then the gap iterations.
 bool DenseStep::position_problem() {
   std::vector<DenseContact>& all = candidates_.contacts();
@@ -484,9 +445,13 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   return v1_.allFinite() && p1_.allFinite() ? true : fail("a number is not finite");
 }
 
+// Whether a contact that closes as it does is one that has restitution.
+bool DenseStep::closes_fast(const DenseContact& c) const {
+  return c.closing < -kFastFall * scene_->tree.gravity.norm() * h_;
+}
+
 // Poisson's restitution: the contacts that closed fast expand with an impulse of at least e times what compressed them.
 void DenseStep::expand(double bound_energy) {
-  const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
   BlockProblem& problem = rows_.problem();
   bool any = false;
   lambda_.setZero();
@@ -494,7 +459,7 @@ void DenseStep::expand(double bound_energy) {
     DenseContact& c = candidates_.contacts()[active_[i]];
     BlockContact& block = problem.contacts[i];
     const double compression = c.position[0] + lambda_end_[block.row];
-    c.expands = c.restitution > 0.0 && c.closing < -fast && compression > 0.0;
+    c.expands = c.restitution > 0.0 && closes_fast(c) && compression > 0.0;
     if (c.expands) block.lower = c.restitution * compression;
     any |= c.expands;
   }
@@ -527,12 +492,11 @@ void DenseStep::expand(double bound_energy) {
 double DenseStep::contacts_error(const Energy& before, const Energy& free, const Energy& middle) const {
   double lifts = 0.0, most_noise = 0.0;
   bool impact = false;
-  const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
   for (const DenseContact& c : contacts()) {
     const double noise = std::max(DenseCandidates::kGapPromised, candidates_.noise(c.point.guard));
     most_noise = std::max(most_noise, noise);
     lifts += kBothEnds * c.position.norm() * (gap_solved_ + std::clamp(-c.at0.gap, 0.0, noise));
-    impact |= c.position[0] > 0.0 && c.closing < -fast;
+    impact |= c.position[0] > 0.0 && closes_fast(c);
   }
   const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);
   const double curved =

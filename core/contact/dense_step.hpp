@@ -145,9 +145,11 @@ class DenseStep {
   double offset(const DenseContact& c, std::size_t i) const;
   Vec3 end_tangent(const DenseContact& c);
   void set_friction();
-  double follow_forces();
+  double follow_forces(bool half_way, double& speed);
+  void settle_friction(double bound_energy, VecX& v, BlockResult& result);
   void set_pulls();
   void set_restitution(std::size_t i);
+  bool closes_fast(const DenseContact& c) const;
   void pull_at_end();
   Eigen::Vector2d drift(const DenseContact& c, bool at_end);
   Vec3 turning_drift(const DenseContact& c, bool at_end);

@@ -1,11 +1,21 @@
 // DenseStep: what the surfaces of its contacts have besides Coulomb's law with one number: friction that depends on the
-// slip, surfaces that move along themselves, adhesion.
+// slip or the force, restitution that depends on the speeds, surfaces that move along themselves, adhesion.
 #include <algorithm>
+#include <cmath>
 
 #include "base/tolerances.hpp"
 #include "contact/dense_step.hpp"
+#include "model/restitution.hpp"
 
 namespace contactvi {
+
+namespace {
+// Coefficients of friction that depend on the forces of a problem are found with them in so many rounds at most, to
+// this of themselves, which is below the error of the law. Contacts may pass a load to and fro: after the first rounds
+// they go half of the way.
+constexpr double kFrictionNear = 1e-6;
+constexpr int kFrictionRounds = 16, kWholeRounds = 2;
+}  // namespace
 
 // The adhesion of the present problem: of the points that touch at the start of the step, unless they separate faster
 // than the pull could stop within it.
@@ -83,19 +93,47 @@ void DenseStep::set_friction() {
 }
 
 // By how much of themselves coefficients of friction change with the impulses of the present problem, each of which
-// acts for half of the step. An impact is a force that is the larger the shorter the step.
-double DenseStep::follow_forces() {
+// acts for half of the step. An impact is a force that is the larger the shorter the step. speed: what the largest of
+// the changes is worth [m/s]; half_way: they go half of the way.
+double DenseStep::follow_forces(bool half_way, double& speed) {
   for (std::size_t i = 0; i < active_.size(); ++i)
     friction_states_[static_cast<std::size_t>(active_[i])].normal = 2.0 * lambda_[rows_.block(i).row] / h_;
   contactvi::set_friction(*scene_, friction_states_);
   double change = 0.0;
+  speed = 0.0;
   for (std::size_t i = 0; i < active_.size(); ++i) {
     DenseContact& c = candidates_.contacts()[active_[i]];
     if (c.rows() == 1) continue;
+    const double old = c.mu, normal = lambda_[rows_.block(i).row];
     change = FrictionRounds::larger(change, friction_states_[static_cast<std::size_t>(active_[i])].mu, c.mu);
+    speed = std::max(speed, std::abs(c.mu - old) * normal * rows_.mobility(i));
+    if (half_way) c.mu = std::sqrt(c.mu * old);
     rows_.problem().contacts[i].mu = c.mu;
   }
   return change;
+}
+
+// The law of the present problem again, with coefficients of friction that depend on its forces, until these stay.
+void DenseStep::settle_friction(double bound_energy, VecX& v, BlockResult& result) {
+  FrictionRounds rounds(kFrictionNear, kFrictionRounds);
+  double speed = 0.0;
+  for (int k = 0; rounds.go_on(follow_forces(k >= kWholeRounds, speed)); ++k) {
+    result = solver_.solve(rows_.problem(), bound_energy, solver_options(), lambda_, v);
+    note(result);
+  }
+  if (!rounds.settled()) result.residual = std::max(result.residual, speed / result.scale);
+}
+
+// The speed with which active contact i closes at the start of the step, and the restitution of one that closes fast.
+void DenseStep::set_restitution(std::size_t i) {
+  DenseContact& c = candidates_.contacts()[active_[i]];
+  c.closing = rows_.velocity(i, 0, v0_);
+  const ContactLaw* law = scene_->law(c.point.guard);
+  if (!closes_fast(c) || law == nullptr || !restitution_varies(*law)) return;
+  Vec3 slip = Vec3::Zero();
+  if (c.rows() > 1)
+    slip = c.frame(false).slip(Eigen::Vector2d(rows_.velocity(i, 1, v0_), rows_.velocity(i, 2, v0_)) + c.drift0);
+  c.restitution = std::max(0.0, restitution_at(*law, -c.closing, slip.norm(), t_));
 }
 
 // What surfaces that move along themselves add to the tangential velocities of a contact, where the bodies are placed.

@@ -113,25 +113,11 @@ bool ContactStep::unfreeze_turned(const MatX& G, double still) {
 
 // The velocity impulse with the coefficients of its own forces.
 bool ContactStep::solve_ends(VecX& lambda) {
-  if (!follows_forces_) return solve_end(lambda);
-  end_friction_.resize(static_cast<Eigen::Index>(contacts_.size()));
-  for (std::size_t i = 0; i < contacts_.size(); ++i)
-    end_friction_[static_cast<Eigen::Index>(i)] = cones_[friction_rows_ + i].mu;
   FrictionRounds rounds;
   do {
     if (!solve_end(lambda)) return false;
-  } while (rounds.go_on(follow_end_forces(lambda)));
+  } while (follows_forces_ && rounds.go_on(follow_forces(lambda, 0.5 * h_, cones_)));
   return rounds.settled();
-}
-
-// By how much of themselves coefficients of friction change with the velocity impulse that was found with them.
-double ContactStep::follow_end_forces(const VecX& lambda) {
-  for (std::size_t i = 0; i < contacts_.size(); ++i) friction_states_[i].normal = 2.0 * lambda[row_[i]] / h_;
-  set_friction(*scene_, friction_states_);
-  double change = 0.0;
-  for (std::size_t i = 0; i < contacts_.size(); ++i)
-    change = FrictionRounds::larger(change, friction_states_[i].mu, end_friction_[static_cast<Eigen::Index>(i)]);
-  return change;
 }
 
 // The cone problem of the active contacts; directions of friction stay those of the step where that reverses no slip.
@@ -145,7 +131,6 @@ bool ContactStep::solve_end(VecX& lambda) {
   }
   for (int i : active_) {
     ConeContact cone = cones_[friction_rows_ + i];
-    if (follows_forces_) cone.mu = end_friction_[i];
     cone.row = static_cast<int>(sub_rows_.size()) - bilateral_;
     cone.frozen = outcomes_[i].slipped;
     cone.frozen_rolling = outcomes_[i].rolled;

@@ -36,7 +36,6 @@ class FrictionRounds {
     return !settled_ && ++count_ < most_;
   }
   bool settled() const { return settled_; }
-  double change() const { return last_; }
   // The larger one of a change and that of a coefficient, which becomes `next`.
   static double larger(double change, double next, double& mu);
 

@@ -452,8 +452,8 @@ void Island::tell_motion_of(int k, IslandGraph& graph) const {
   if (base_of_[k] < 0 || asleep()) return;
   const Base& base = bases_[base_of_[k]];
   if (base.straight)
-    graph.set_bent(g, base.bends, base.along,
-                   bow_ + (only_translates_[k] ? 0.0 : std::max(0.0, motion(k) - base.path)));
+    graph.paths().set(g, base.bends, base.along,
+                      bow_ + (only_translates_[k] ? 0.0 : std::max(0.0, motion(k) - base.path)));
 }
 
 void Island::tell_expected(double length, IslandGraph& graph) const {
@@ -466,7 +466,7 @@ void Island::tell_expected(double length, IslandGraph& graph) const {
     if (!(base.mass > 0.0)) continue;
     const int g = numbers_->geometries[k];
     const double turned = only_translates_[k] ? 0.0 : base.turn * engine_->scene().geometries[k].reach;
-    graph.foretell(g, base.axes * p.segment<3>(base.iv) * (length / base.mass), turned);
+    graph.paths().foretell(g, base.axes * p.segment<3>(base.iv) * (length / base.mass), turned);
   }
 }
 

@@ -171,15 +171,15 @@ class Island {
     int turning;  // of a rigid body that turns besides: the place of its quaternion, else -1
     double mass;  // of a rigid body on which gravity alone acts, else 0
     Vec3 along;
-    std::vector<IslandGraph::Bend> bends;  // where impacts turned it
-    double path;                           // length of that line [m]
-    double turn;                           // about so much [rad]
+    std::vector<GeometryPaths::Bend> bends;  // where impacts turned it
+    double path;                             // length of that line [m]
+    double turn;                             // about so much [rad]
     bool straight;
   };
   std::vector<Base> bases_;
   std::vector<int> base_of_;
   std::vector<char> only_translates_;  // whether it is a ball about a point of the base
-  double bow_ = 0.0;                   // see IslandGraph::set_straight
+  double bow_ = 0.0;                   // see GeometryPaths::set
   // How many reference intervals of the graph a reference step of the engine's guards is, and of which of these.
   double share_ = 0.0;
   long share_span_ = -1, share_room_ = -1;

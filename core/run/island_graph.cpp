@@ -25,7 +25,7 @@ constexpr double kRenewed = 0.5;
 }  // namespace
 
 IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
-    : trees_(&trees), guards_(&guards), scene_(&guards.scene()) {
+    : trees_(&trees), guards_(&guards), scene_(&guards.scene()), paths_(guards.scene().geometries.size()) {
   const std::size_t n = scene_->geometries.size();
   partners_.resize(n);
   for (std::size_t k = 0; k < scene_->pairs.size(); ++k) {
@@ -50,9 +50,6 @@ IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
   }
   neighbours_.resize(n);
   is_active_.assign(n, 0);
-  foretold_.assign(n, 0);
-  straight_.setConstant(4, static_cast<Eigen::Index>(n), kNaN);
-  bends_.resize(n);
   intervals_.assign(n, kIntervals);
   for (std::vector<double>* list : {&reach_, &motion_, &odometer_, &limit_, &inverse_}) list->assign(n, 0.0);
   for (std::vector<double>* list : {&x_, &y_, &z_, &ball_}) list->assign(movable_.size(), 0.0);
@@ -71,10 +68,7 @@ void IslandGraph::set_active(std::vector<int> geometries) {
 void IslandGraph::restart(const std::vector<double>& motion, const MatX& straight) {
   set_active(movable_);
   motion_ = motion;
-  straight_.setConstant(4, static_cast<Eigen::Index>(inverse_.size()), kNaN);
-  if (straight.size() > 0) straight_ = straight;
-  for (std::vector<Bend>& bends : bends_) bends.clear();
-  std::fill(foretold_.begin(), foretold_.end(), char{0});
+  paths_.restart(straight);
   approaching_.clear();
   knows_motion_ = true;
   room_ = used_ = largest_ = last_ = 0.0;
@@ -166,32 +160,9 @@ IslandGraph::Apart IslandGraph::exact_distance(const Neighbour& n, int g) {
   return {distance, scene_->pairs[n.guard].a == g ? contact.normal : Vec3(-contact.normal)};
 }
 
-// Where a geometry is carried in a part of the interval, from where it is at its start.
-Vec3 IslandGraph::place_in(int g, double part) const {
-  Bend from{0.0, Vec3::Zero()}, to{1.0, straight_.col(g).head<3>()};
-  for (const Bend& bend : bends_[g]) {
-    if (bend.part >= part) {
-      to = bend;
-      break;
-    }
-    from = bend;
-  }
-  return to.part > from.part ? Vec3(from.at + (part - from.part) / (to.part - from.part) * (to.at - from.at)) : to.at;
-}
-
-// By how much two neighbours have approached each other at most, by the motions that were told last: what is apart in
-// a direction meets only by moving against it, and the paths of both together are straight between their bends.
+// By how much two neighbours have approached each other at most, by the motions that were told last.
 double IslandGraph::approach(int g, const Neighbour& n, const Vec3& direction) const {
-  const double together = motion_[g] + motion_[n.geometry];
-  if (std::isnan(straight_(0, g)) || std::isnan(straight_(0, n.geometry))) return together;
-  double nearer = 0.0;
-  const auto look = [&](const Vec3& relative) {
-    nearer = std::max(nearer, direction.isZero(0.0) ? relative.norm() : -direction.dot(relative));
-  };
-  look((straight_.col(n.geometry) - straight_.col(g)).head<3>());
-  for (int end : {g, n.geometry})
-    for (const Bend& bend : bends_[end]) look(place_in(n.geometry, bend.part) - place_in(g, bend.part));
-  return std::min(nearer + straight_(3, g) + straight_(3, n.geometry), together);
+  return std::min(motion_[g] + motion_[n.geometry], paths_.approach(g, n.geometry, direction));
 }
 
 // Whether two neighbours may meet in an interval.
@@ -289,7 +260,7 @@ void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets)
       const double reach = reach_[g] + reach_[n.geometry];
       if (odometer_[g] + odometer_[n.geometry] + reach < n.mark) continue;
       place(q);
-      if (may_meet(g, n, {reach, foretold_[g] && foretold_[n.geometry] ? 1.0 : kReach})) join(g, n, sets);
+      if (may_meet(g, n, {reach, paths_.foretold(g) && paths_.foretold(n.geometry) ? 1.0 : kReach})) join(g, n, sets);
     }
   }
   find_room(sets);

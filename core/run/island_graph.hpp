@@ -11,6 +11,7 @@
 #include "base/disjoint_sets.hpp"
 #include "geometry/guard.hpp"
 #include "model/static_trees.hpp"
+#include "run/geometry_paths.hpp"
 
 namespace contactvi {
 
@@ -20,7 +21,7 @@ class IslandGraph {
   IslandGraph(const StaticTrees& trees, Guards& guards);
 
   // Forgets where everything is, and takes all for active; motion, straight: of each geometry in the next interval, as
-  // of set_motion and straight(); empty: none is known.
+  // of set_motion and GeometryPaths; empty: none is known.
   void restart(const std::vector<double>& motion, const MatX& straight);
   // From now on only these geometries move, until other ones are named. Of the others the odometer is to be right and
   // the motion zero.
@@ -41,31 +42,12 @@ class IslandGraph {
   // Sets how far a geometry has moved at most in the interval under way, or in the last one [m].
   void set_motion(int geometry, double distance) {
     motion_[geometry] = distance;
-    straight_(0, geometry) = kNaN;
-    bends_[geometry].clear();
-    foretold_[geometry] = 0;
+    paths_.forget(geometry);
     count(part(geometry, distance));
   }
-  // After that: no point of it was farther than `besides` [m] from where it would have been, had it been carried along
-  // this straight line [m, world] at a constant speed; with bends along straight lines from one to the next.
-  void set_straight(int geometry, const Vec3& along, double besides) {
-    straight_.col(geometry) << along, besides;
-    bends_[geometry].clear();
-  }
-  // As this, of the next interval, if it meets nothing.
-  void foretell(int geometry, const Vec3& along, double besides) {
-    set_straight(geometry, along, besides);
-    foretold_[geometry] = 1;
-  }
-  struct Bend {
-    double part;  // of the interval, until it is there
-    Vec3 at;      // from where it was at the start of the interval [m, world]
-  };
-  void set_bent(int geometry, const std::vector<Bend>& bends, const Vec3& along, double besides) {
-    straight_.col(geometry) << along, besides;
-    bends_[geometry] = bends;
-  }
-  const MatX& straight() const { return straight_; }
+  // After that: how it was carried in that interval, or will be in the next one.
+  GeometryPaths& paths() { return paths_; }
+  const GeometryPaths& paths() const { return paths_; }
   // And until the start of that interval.
   void set_place(int geometry, double odometer) { odometer_[geometry] = odometer; }
   double odometer(int geometry) const { return odometer_[geometry]; }
@@ -115,7 +97,6 @@ class IslandGraph {
   Apart exact_distance(const Neighbour& n, int g);
   void find_room(DisjointSets& sets);
   double approach(int g, const Neighbour& n, const Vec3& direction) const;
-  Vec3 place_in(int g, double part) const;
   // What a pair may approach by, of how far its geometries move together [m] and of approach().
   struct Moves {
     double together, share;
@@ -143,9 +124,7 @@ class IslandGraph {
   std::vector<int> slot_;                 // of a geometry in movable_
   std::vector<std::vector<Neighbour>> neighbours_;
   std::vector<Neighbour> before_;  // workspace of renew: the neighbours so far
-  MatX straight_;                  // (4, geometries) along and besides; NaN: not known
-  std::vector<std::vector<Bend>> bends_;
-  std::vector<char> foretold_;     // whether these are those of the next interval already
+  GeometryPaths paths_;
   std::vector<double> intervals_;  // for how many of them the margin of a ball is
   // Neighbours that could have met by how far each moves, but not by how far they move against each other, if this
   // stays below their distance at the start of the interval under way.

@@ -538,7 +538,7 @@ std::shared_ptr<const SavedWorld> World::save() {
   saved->joint_friction = joint_friction_;
   find_motion();
   saved->motion = graph_.motion();
-  saved->straight = graph_.straight();
+  saved->straight = graph_.paths().straight();
   saved->tau = tau_;
   saved->q_ref = q_ref_;
   saved->v_ref = v_ref_;
