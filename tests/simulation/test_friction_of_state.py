@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from batteries.test_law_battery import of_state
 from contactvi.verify import systems
 from oracles.event_ode import leg
 from oracles.held_contact import RodOnTip
@@ -169,8 +170,6 @@ def test_the_order_with_a_load_in_time():
             scene.add_force(lambda t, q, v: np.array([0.0, 0.0, MASS * G - pressed(t)]), name="press")
             run = cvi.simulate(scene, np.zeros(3), np.array([v0, 0.0, 0.0]), t_end, dt=factor * dt, order=order)
             errors.append(abs(run.q[-1][0] - rest.y[0]))
-            sticks = [row.time for row in run.contact_changes if row.change == "stick"]
-        print(order, errors, math.log2(errors[0] / errors[1]), sticks[0] - rest.t)
         assert math.log2(errors[0] / errors[1]) >= least
 
 
@@ -181,8 +180,9 @@ def test_dense_steps_of_the_same_block():
     for dt in (2e-3, 5e-4):
         run = cvi.simulate(pressed_scene(), np.zeros(3), np.zeros(3), 1.4, dt=dt, contact_mode="steps")
         errors.append(np.abs([run.q[-1][0], run.v[-1][0]] - known).max())
-    print(errors)
-    assert errors[0] <= 0.05
+    # Each of two slips may begin a step late: by then the force has grown from zero, by at most 13 N * 4 / s of it.
+    for error, dt in zip(errors, (2e-3, 5e-4), strict=True):
+        assert error <= 2 * 0.5 * 13.0 * 4.0 / MASS * dt**2
     assert errors[1] <= 0.5 * errors[0]
 
 
@@ -254,7 +254,6 @@ def test_a_falling_rod():
             run = cvi.simulate(scene, q, np.array([speed, 0.0, 0.0]), 0.4, dt=factor * dt, order=order)
             found = [run.q[-1][0], -run.q[-1][2], run.v[-1][0], -run.v[-1][2]]
             errors.append(np.abs(found - states[-1]).max())
-        print(order, errors, math.log2(errors[0] / errors[1]))
         assert errors[1] <= close
         assert math.log2(errors[0] / errors[1]) >= least
 
@@ -333,27 +332,10 @@ def test_a_later_number_replaces_it_and_stored_scenes_miss_it():
     assert run.v[-1][0] == pytest.approx(1.0 - 0.2 * G * 0.2, abs=1e-12)
 
 
-# --- a battery -------------------------------------------------------------------------------------------------------
-def drawn_law(random: np.random.Generator):
-    a, b, c, power = (
-        random.uniform(0.05, 0.8),
-        random.uniform(0.0, 2.0),
-        random.uniform(0.0, 3.0),
-        random.uniform(-0.6, 0.3),
-    )
-    scale = random.uniform(0.5, 50.0)
-
-    def law(slip, normal, t):
-        load = np.minimum(np.maximum(normal, 1e-3), 1e4) / scale
-        return a * load**power * (1.0 + b * np.exp(-3.0 * slip)) * (1.0 + 0.3 * np.sin(c * t))
-
-    return law
-
-
+# --- a battery; that of located contact is tests/batteries/test_law_battery.py ----------------------------------------
 @pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("options", [{"order": 2}, {"order": 4}, {"contact_mode": "steps"}], ids=str)
-def test_dissipation_is_never_negative(seed, options):
-    """Boxes and balls thrown on each other, with laws drawn at random: the energy never rises."""
+def test_dense_steps_dissipate(seed):
+    """Boxes and balls thrown on each other, with laws drawn at random."""
     random = np.random.default_rng(seed)
     scene = cvi.Scene()
     scene.add_halfspace(name="ground")
@@ -362,15 +344,10 @@ def test_dissipation_is_never_negative(seed, options):
     scene.add_capsule("rod", 0.05, 0.3, mass=0.5, placement=(0.6, 0.0, 0.3))
     scene.set_contact(restitution=0.3)
     for pair in (("ground", "box"), ("ground", "ball"), ("box", "ball"), ("ground", "rod")):
-        scene.set_contact(*pair, friction_of_state=drawn_law(random))
+        scene.set_contact(*pair, **of_state(random)[0])
     v = random.uniform(-1.0, 1.0, scene.nv)
-    run = cvi.simulate(scene, None, v, 0.6, dt=0.004, **options)
+    run = cvi.simulate(scene, None, v, 0.6, dt=0.004, contact_mode="steps")
     assert run.status.ok
-    energy = run.energy
-    # The energy of steps without contact swings by the square of dt, here by 1e-4 of it.
-    assert np.diff(energy).max() <= 2e-4 * abs(energy[0])
-    # The work of friction of persistent contacts: the law is kept to the rounding of the forces, 1e-8 of them. Dense
-    # steps tell their losses by their energy, to what their own error is.
-    work = run.ledger.contacts.friction_work
-    assert work.max(initial=0.0) <= 1e-7
+    assert len(run.dense_steps["t"]) > 0
+    # Dense steps tell their losses by their energy, to what their own error is.
     assert np.all(run.dense_steps["energy_loss"] >= -run.dense_steps["energy_error"])

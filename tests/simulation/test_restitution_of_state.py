@@ -49,16 +49,14 @@ def test_the_first_impacts(law):
 
 def test_in_a_dense_step():
     """The coefficient is that of the speeds at the start of the step, an order 1 of its length away."""
-    errors = []
     for dt in (2e-3, 1e-3):
         scene = thrown()
         traj = cvi.simulate(scene, None, speeds(scene), 0.3, dt=dt, contact_mode="steps")
         e = coefficient(np.sqrt(2.0 * G * 0.2), np.hypot(1.5, 0.4), np.sqrt(0.4 / G))
         left = np.sqrt(2.0 * G * 0.2) * e - G * (0.3 - np.sqrt(0.4 / G))
         up = pin.Quaternion(traj.q[-1, 3:7]).matrix()[2]  # in the axes of the ball, which friction has turned
-        errors.append(abs(up @ traj.v[-1, :3] - left))
-    assert errors[0] <= 0.05
-    assert errors[1] <= 0.03
+        # The impact may be a step early or late: so much later it falls, and by e of so much its speed is another one.
+        assert abs(up @ traj.v[-1, :3] - left) <= (1.0 + e) * G * dt
 
 
 def slopes(closing, slip, t):

@@ -289,14 +289,17 @@ def test_who_passes_another_one_by_stays_alone():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_islands_of_a_gas_are_few_bodies_each(seed):
-    """A tenth of the room is filled, and a step moves a body by a fifth of its radius: who meets nobody is alone."""
+    """A tenth of the room is filled, and a step moves a body by a fifth of its radius: who meets nobody is alone.
+
+    An impact joins two bodies; what it changes in their paths, foretold without it, may join each to one more.
+    """
     scene, v, names = gas(300, seed, density=0.1)
     simulator = engine.simulator(scene.core(), 1e-2)
     assert simulator.reset(scene.neutral(), v)["code"] == 0
     for _ in range(30):
         events = simulator.advance(1)["events"]
         impacts = 0 if events is None else len(events["time"])
-        assert simulator.islands >= len(names) - 3 * impacts - 10
+        assert simulator.islands >= len(names) - 3 * impacts
 
 
 def test_a_snapshot_of_a_crowd_in_flight_goes_on_to_the_bit():
