@@ -207,7 +207,8 @@ int add_contact_function(Scene& s, const std::variant<std::uintptr_t, OfRows>& g
       for (int k = 0; k < n; ++k) values[k] = {f(numbers[2 * k])};
     };
   } else if (count == 3) {
-    auto* f = reinterpret_cast<void (*)(double, double, double, double*)>(std::get<std::uintptr_t>(given));  // NOLINT
+    using OfThree = void(double, double, double, double*);
+    auto* f = reinterpret_cast<OfThree*>(std::get<std::uintptr_t>(given));  // NOLINT: the same
     rows = [f](const double* numbers, int n, bool, ContactValue* values) {
       for (int k = 0; k < n; ++k) {
         double found[4] = {kNaN, kNaN, kNaN, kNaN};
