@@ -290,11 +290,11 @@ bool BlockFactor::factor(const BlockProblem& problem, const std::vector<Mat3>& K
 template <int N>
 void BlockFactor::substitute() {
   const auto part = [&](const Pivot& p) { return Column<N>(&y_[p.start], p.size); };
-  Eigen::Matrix<double, N, 1> z;
   for (const Pivot& p : pivots_) {
     const Block<N> D(&diagonal_[p.diagonal], p.size, p.size);
     auto y = part(p);
     if (symmetric_ && !is_factor<N>(p)) {
+      Column<N> z(scratch_.data(), p.size);
       z.noalias() = D * y;
       y = z;
     }
@@ -321,6 +321,7 @@ void BlockFactor::substitute() {
         solve_general(factor, &exchanged_[p->start], y.data());
       continue;
     }
+    Column<N> z(scratch_.data(), p->size);
     if (symmetric_)
       z.noalias() = D.transpose() * y;
     else

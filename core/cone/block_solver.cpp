@@ -17,6 +17,7 @@ namespace contactvi {
 namespace {
 
 constexpr int kBetweenChecks = 5;      // sweeps
+constexpr int kSweepsFirst = 15;       // where more are needed Newton steps come first: one costs about ten sweeps
 constexpr int kTurningRounds = 4;      // of sweeps and Newton steps, each of twice as many sweeps as those before
 constexpr int kConvexIterations = 30;  // factorizations of one convex problem
 constexpr int kNormalIterations = 25;  // and of the normal problem
@@ -44,8 +45,8 @@ struct BlockSolver::Work {
   BlockFactor& pattern();
   void begin();
   void note();
-  bool sweeps(bool all);
-  bool sweeps_lead_on(double last) const;
+  bool sweeps(int most, bool all = false);
+  bool sweeps_lead_on(double last, int most) const;
   bool polish();
   void clear_open();
   void interior_point();
@@ -99,24 +100,25 @@ void BlockSolver::Work::note() {
   if (point.residual < best.residual) best = point;
 }
 
-// Whether the sweeps that are left reach the tolerance, or what is accepted, at the rate since the residual was `last`.
-bool BlockSolver::Work::sweeps_lead_on(double last) const {
+// Whether the sweeps that are left of `most` reach the tolerance, or what is accepted, at the rate since the residual
+// was `last`.
+bool BlockSolver::Work::sweeps_lead_on(double last, int most) const {
   const double goal = point.residual > options.accept ? options.accept : options.tolerance;
-  const double checks = static_cast<double>(options.sweeps - result.sweeps) / kBetweenChecks;
+  const double checks = static_cast<double>(most - result.sweeps) / kBetweenChecks;
   return point.residual * std::pow(std::min(1.0, point.residual / last), checks) <= goal;
 }
 
-// Stage A, from `point`: as long as the sweeps lead on, or all that are left. True at the tolerance.
-bool BlockSolver::Work::sweeps(bool all) {
+// Stage A, from `point`: as long as they lead on, or all that are left of `most`. True at the tolerance.
+bool BlockSolver::Work::sweeps(int most, bool all) {
   const double before = best.residual;
   double last = point.residual;
-  while (result.sweeps < options.sweeps && best.residual > options.tolerance) {
+  while (result.sweeps < most && best.residual > options.tolerance) {
     sweep(system, point);
     system.sweep_turning(point);
     if (++result.sweeps % kBetweenChecks != 0) continue;
     system.update(point);
     note();
-    if (!all && !sweeps_lead_on(last)) break;
+    if (!all && !sweeps_lead_on(last, most)) break;
     last = point.residual;
   }
   if (best.residual < before) result.stage = BlockResult::Stage::kSweeps;
@@ -161,7 +163,7 @@ void BlockSolver::Work::interior_point() {
 // The sweeps that did not lead on, where nothing else has: slowly they go where other methods stay at the boundary.
 void BlockSolver::Work::last_sweeps() {
   point = best;
-  if (!sweeps(true)) polish();
+  if (!sweeps(options.sweeps, true)) polish();
 }
 
 // Stage D on `best`.
@@ -235,7 +237,11 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
   work.begin();
   // Of points with turning friction the cone is none of second order: the interior point method has no such pairs.
   const bool conic = work.system.turning_points().empty();
-  if (!work.sweeps(false) && !work.polish() && !accepted() && conic) work.interior_point();
+  for (const int most : {std::min(kSweepsFirst, options.sweeps), options.sweeps}) {
+    if (work.sweeps(most) || work.polish()) break;
+    work.point = work.best;
+  }
+  if (!accepted() && conic) work.interior_point();
   // Without that method Newton's starts again from ever more sweeps.
   for (int k = 0; k < (conic ? 1 : kTurningRounds) && !accepted(); ++k, work.options.sweeps *= 2) work.last_sweeps();
   // Where the law is not met but cone, gaps and energy are as they should be, the answer stays: new normal impulses

@@ -16,11 +16,11 @@ constexpr int kStageIterations = 40;
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
 constexpr int kGapIterations = 30, kFirstGapIterations = 3;
-constexpr double kGapSolved = 1e-11;       // [m] to which gaps of loaded contacts are zero
-constexpr double kGapStalled = 0.9;        // share of the error that an iteration after the first ones may leave
-constexpr int kLawRounds = 4;              // times that the whole law is solved again for loaded gaps that open
-constexpr double kLawStalled = 0.5;        // share of the widest such gap that a round may leave
-constexpr double kNormalsSolved = 1e-12;   // residual of the normal problem in a gap iteration
+constexpr double kGapStalled = 0.9;  // share of the error that an iteration after the first ones may leave
+constexpr int kLawRounds = 4;        // times that the whole law is solved again for loaded gaps that open
+constexpr double kLawStalled = 0.5;  // share of the widest such gap that a round may leave
+// Residual of the normal problem in a gap iteration: a share of the gaps that count as zero, over the step; or rounding.
+constexpr double kNormalsShare = 0.1, kNormalsRounding = 1e-12;
 constexpr int kAdditions = 16;             // times that points join the candidates of one step
 constexpr double kTouching = 1e-11;        // [m] a closed point without load takes part in the velocity impulse
 constexpr double kFastFall = 4.0;          // contacts that close faster than this many g h have restitution
@@ -40,8 +40,7 @@ constexpr double kEnergyShare = 1e-8;  // of the kinetic energy: smaller gains a
 constexpr double kLawAccepted = 1e-4, kLawSolved = 1e-8;
 constexpr int kLawFactors = 60;
 constexpr double kUsualTolerance = 1e-12;  // of steps, to which these belong
-// Of the solutions that are asked for at the least: beyond it rounding decides.
-constexpr double kClosest = 1e-3;
+constexpr double kClosest = 1e-3;          // share of what is usually left that a tolerance may ask for
 
 double size_of(const Energy& e) { return std::abs(e.kinetic) + std::abs(e.potential); }
 double total(const Energy& e) { return e.kinetic + e.potential; }
@@ -54,8 +53,7 @@ DenseStep::DenseStep(const Scene& scene, Guards& guards, double tol)
       candidates_(scene, guards),
       rows_(scene),
       end_rows_(scene),
-      closeness_(std::clamp(tol / kUsualTolerance, kClosest, 1.0)),
-      gap_solved_(kGapSolved * closeness_) {
+      usual_closeness_(std::clamp(tol / kUsualTolerance, kClosest, 1.0)) {
   const Tree& tree = scene.tree;
   for (VecX* x : {&p0_, &v0_, &v_free_, &v_, &v1_, &p1_, &p_start_, &bound_, &work_}) *x = VecX::Zero(tree.nv);
   for (VecX* x : {&q0_, &q1_}) x->setZero(tree.nq);
@@ -137,11 +135,20 @@ void DenseStep::set_start_momentum() {
   if (constrained()) p_start_ += start_.whole * start_.mu;
 }
 
+// Bodies are at rest where they move no further in the step than gaps are usually solved to. What is left of the law
+// there is a motion that all such steps repeat.
+void DenseStep::set_closeness() {
+  const bool at_rest = v0_.cwiseAbs().maxCoeff() * h_ <= kGapSolved;
+  closeness_ = at_rest ? kGapSolvedAtRest / kGapSolved : usual_closeness_;
+  gap_solved_ = kGapSolved * closeness_;
+}
+
 bool DenseStep::solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   q0_ = q0;
   p0_ = p0;
   h_ = h;
   if (!integrator_.node_velocity(q0, p0, v0_)) return fail("the mass matrix is not positive definite");
+  set_closeness();
   integrator_.begin(q0, h, tau, v0_);
   p_start_ = p0;
   if (!std::isfinite(integrator_.iterate(p_start_, true, true))) return fail("a number is not finite");
@@ -215,8 +222,9 @@ double DenseStep::offset(const DenseContact& c, std::size_t i) const {
 }
 
 // The impulses have been changed and v_ with them: the smooth equation again, then the normal impulses for the gaps
-// that it leads to, until the gaps of loaded contacts are zero and none overlaps.
-bool DenseStep::gap_iterations() {
+// that it leads to, until the gaps of loaded contacts are zero and none overlaps. scale: of speeds [m/s].
+bool DenseStep::gap_iterations(double scale) {
+  const double tolerance = std::max(kNormalsRounding, kNormalsShare * gap_solved_ / (h_ * scale));
   double last = INFINITY;
   for (int k = 0;; ++k) {
     set_start_momentum();
@@ -233,7 +241,7 @@ bool DenseStep::gap_iterations() {
     }
     work_ = v_;
     ++counters.gap_iterations;
-    note(solver_.solve_normals(problem, kNormalsSolved, lambda_, v_));
+    note(solver_.solve_normals(problem, tolerance, lambda_, v_));
     work_ = v_ - work_;
     integrator_.add_velocity(work_);
   }
@@ -337,7 +345,7 @@ bool DenseStep::position_problem() {
     if (recorder_) recorder_->take_law(lambda_, multipliers(v_ - from, lambda_ - before), v_);
     work_ = v_ - work_;
     integrator_.add_velocity(work_);
-    if (!gap_iterations()) return false;
+    if (!gap_iterations(result.scale)) return false;
     if (recorder_) recorder_->take_round(all, q1_, v_, lambda_, start_.mu);
     // Friction that slides holds the normal impulse of a gap that opens, which breaks the law as a speed of that gap
     // over h does: where that is more than an accepted residual, the whole law again, about this motion.

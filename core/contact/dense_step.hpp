@@ -49,6 +49,10 @@ struct DenseStepCounters {
 
 class DenseStep {
  public:
+  // [m] To which gaps of loaded contacts are zero at the end of a step, and of one that begins at rest: a few times what
+  // the gaps are rounded by.
+  static constexpr double kGapSolved = 1e-11, kGapSolvedAtRest = 1e-15;
+
   // tol: of the equations of steps; those of contact are solved to what belongs to 1e-12, and closer where it is less.
   DenseStep(const Scene& scene, Guards& guards, double tol = 1e-12);
   DenseStep(const DenseStep&) = delete;
@@ -124,6 +128,7 @@ class DenseStep {
   };
   bool constrained() const { return start_.phi.size() > 0; }
   bool fail(const char* why);
+  void set_closeness();
   bool solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   bool iterate_stage();
   void evaluate(const VecX& q, double t, Constraints& node);
@@ -138,7 +143,7 @@ class DenseStep {
   bool position_impulses();
   bool position_problem();
   void set_slips();
-  bool gap_iterations();
+  bool gap_iterations(double scale);
   double widest_loaded_gap() const;
   BlockOptions solver_options() const;
   double place_end();
@@ -190,8 +195,9 @@ class DenseStep {
   DenseReport report_;
   Kept kept_ = Kept::kGaps;
   std::unique_ptr<DenseRecorder> recorder_;
-  double closeness_,
-      gap_solved_;            // share of what is usually left, at most 1; gaps of loaded contacts that count as zero
+  // Shares of what is usually left, at most 1: as the tolerance asks for, and in this step.
+  double usual_closeness_, closeness_ = 1.0;
+  double gap_solved_ = 0.0;   // gaps of loaded contacts that count as zero in this step [m]
   double contraction_ = 1.0;  // of the iterations on the smooth equation
   double t_ = 0.0, h_ = 0.0, nominal_h_ = 0.0, joint_friction_loss_ = 0.0;
   int violated_constraint_ = -1;

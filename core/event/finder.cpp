@@ -90,7 +90,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
     if (!exists || someone_is_earlier(*first, k >= kManyCandidates)) continue;
     for (int g : pass_) guards_->unmark(g);  // their marks are for the end of the whole step
     if (exempted_closes()) return search(q0, p0, q1, p1, h, tau, path);
-    guards_->commit();
+    guards_->commit(event_.alpha);
     memory_.h = 0.0;
     return Search::kFound;
   }
@@ -232,6 +232,7 @@ void EventFinder::forget_last() {
   active_.clear();
   pass_.clear();
   suspects_.clear();
+  settled_ = false;
 }
 
 // Collects the guards that may reach zero in the step; false if a gap is not finite.
@@ -384,8 +385,15 @@ bool EventFinder::closes_before_cut() {
   return exempted_closes() || any(active_);
 }
 
-void EventFinder::cut() {
+void EventFinder::cut(double part) {
+  const bool settled = settled_;
+  forget_step();
+  if (settled) guards_->take_back(1.0 - part);
+}
+
+void EventFinder::forget_step() {
   guards_->end_span();  // it counts on gaps at the end of the step, as the marks do
+  settled_ = false;
   for (int g : pass_) guards_->unmark(g);
   memory_.h = 0.0;
 }
@@ -398,6 +406,7 @@ void EventFinder::settle() {
     if (!memory_.touching[s.guard]) guards_->mark(s.guard, s.end_gap);
   }
   guards_->commit();
+  settled_ = true;
   if (active_.empty()) guards_->begin_span(*q1_, bound_, h_);
   remember();
 }

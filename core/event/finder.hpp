@@ -34,8 +34,10 @@ class EventFinder {
     if (&stepper != stepper_) memory_.h = 0.0;
     stepper_ = &stepper;
   }
-  // The step of the last search was not taken to its end.
-  void cut();
+  // The step of the last search was not taken to its end, but to this part of it.
+  void cut(double part);
+  // The next step begins elsewhere than the last search expects.
+  void forget_step();
   // Leaves a guard out until the next step has been taken: a contact that has just separated.
   void exempt(int guard) {
     guards_->end_span();
@@ -151,6 +153,7 @@ class EventFinder {
   VecX v0_, v1_, bound_, doubt_, W_;
   Memory memory_;
   bool any_touching_ = false;  // whether one may
+  bool settled_ = false;       // the odometers have advanced by the whole step of the last search
   Contact contact_;
   const VecX *q0_ = nullptr, *p0_ = nullptr, *q1_ = nullptr, *p1_ = nullptr, *tau_ = nullptr;
   StepPath* path_ = nullptr;

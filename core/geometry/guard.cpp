@@ -514,9 +514,10 @@ void Guards::keep_start() {
   any_look_ = true;
 }
 
-void Guards::commit() {
+// Motions grow no less than in proportion to the length of a step.
+void Guards::commit(double part) {
   keep_start();
-  for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];
+  for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += part * motion_.geometry[g];
 }
 
 // Each guard allows so many reference steps: a pair until its mark, a geometry until it may leave its fat box, a limit

@@ -147,7 +147,9 @@ class Guards {
   bool stays_apart(int guard);
   void mark(int guard, double gap_at_end);  // gap at the end of the step
   void unmark(int guard) { marks_[guard] = -1.0; }
-  void commit();  // the step is taken: odometers advance
+  // The step is taken to this part of it: odometers advance. take_back(): it was not taken to its end after all.
+  void commit(double part = 1.0);
+  void take_back(double rest) { commit(-rest); }
   // Of a step that was taken to its end q1, shape (nq,), without a suspect; bound, h: as of its bound_motion. The steps
   // after it may be passed.
   void begin_span(const VecCRef& q1, const VecX& bound, double h);

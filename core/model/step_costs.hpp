@@ -28,6 +28,8 @@ class Steps {
     }
     close();
   }
+  // Of a smooth step, whole or to an event: all trees of the island are solved for, whatever they do.
+  double stage_iteration() const { return 0.1 * dofs_ + 2e-3 * squares_; }
   double contact_iteration(double rows) const { return 2.0 + 4e-3 * rows * rows + 6e-3 * squares_; }
   // A step with persistent contacts besides its iterations: events, forces.
   double contact_step() const { return 8.0; }

@@ -79,7 +79,7 @@ bool Simulator::first_contact_change(const Interval& interval, double h, double&
   }
   if (at_start) {
     contacts_.release(changes_.releasing(), interval.start + interval.done, interval.tau, recording);
-    finder_.cut();
+    finder_.cut(0.0);
     again = true;
     return true;
   }
@@ -93,7 +93,7 @@ bool Simulator::first_contact_change(const Interval& interval, double h, double&
   changes_.set_releasing(released && alpha == before_stick ? releasing : -1);
   if (alpha < limit) {
     hit = false;
-    finder_.cut();
+    finder_.cut(alpha);
     contact_step_.finish(q1_, p1_);
     guards_.place(q1_);
     if (finder_.closes_before_cut()) {

@@ -40,7 +40,8 @@ bool Simulator::allows_dense_steps() const {
 
 // What locating events has cost so far [us].
 double Simulator::located_cost() const {
-  return contact_step_.counters.cost + guards_.counters.cost + costs_.impact() * static_cast<double>(state_.impacts);
+  return contact_step_.counters.cost + guards_.counters.cost + costs_.impact() * static_cast<double>(state_.impacts) +
+         costs_.stage_iteration() * static_cast<double>(integrator_.counters.stage_iterations);
 }
 
 // Whether contacts with so many rows and points are worth steps with events, if nothing happens to them.
@@ -101,16 +102,15 @@ void DensePhase::begin() {
 }
 
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
-bool Simulator::dense_may_end() const { return may_leave_dense_steps() && state_.dense.quiet >= state_.dense.wanted; }
+bool Simulator::dense_may_end() const {
+  return options_.contact_steps == ContactSteps::kAuto && state_.dense.quiet >= state_.dense.wanted &&
+         persistent_contacts_pay();
+}
 
 bool Simulator::persistent_contacts_pay() const {
   int rows = 0;
   for (const PersistentContact& c : contact_step_.contacts()) rows += c.rows();
   return locating_pays(rows, static_cast<int>(contact_step_.contacts().size()));
-}
-
-bool Simulator::may_leave_dense_steps() const {
-  return state_.dense.active && options_.contact_steps == ContactSteps::kAuto && persistent_contacts_pay();
 }
 
 // Events are located again: what the last dense step has left closed persists.
@@ -123,7 +123,7 @@ void Simulator::end_dense_phase() {
   finder_.forget_touching();
   for (int guard : dense_step_.memory().closed) finder_.set_touching(guard, true);
   for (const PersistentContact& c : contact_step_.contacts()) finder_.set_touching(c.point.guard, false);
-  finder_.cut();
+  finder_.forget_step();
   contacts_.update_persistent_guards();
   const long halved = state_.control.halved;
   state_.control.start(options_.dt, contact_dt());

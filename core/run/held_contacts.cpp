@@ -103,7 +103,7 @@ void Simulator::change_contact(int function, double time, const VecX& v, bool mo
     case ContactModes::End::kRelease:
       modes_.end_step();
       contacts_.release(static_cast<int>(ending.contact), time, modes_.tau(), recording);
-      if (!moved) finder_.cut();
+      if (!moved) finder_.forget_step();
       break;
     case ContactModes::End::kSlip:
       modes_.begin_slip(ending.contact, time, recording);

@@ -350,9 +350,9 @@ void Island::settle(long step) {
   settled_ = step;
 }
 
-// before(i): the number i at the start of the step.
+// before(i): the number i at the start of the step; most: how far points may have come, as kStill.
 template <class Before>
-void Rest::count_with(Before before, const double* now, const VecX& levers, bool quiet) {
+void Rest::count_with(Before before, const double* now, const VecX& levers, bool quiet, double most) {
   const Eigen::Index size = levers.size();
   bool still = quiet && steps > 0;
   double moved = 0.0;
@@ -360,10 +360,10 @@ void Rest::count_with(Before before, const double* now, const VecX& levers, bool
     moved = std::max(moved, std::abs(now[i] - (steps > 1 ? q[i] : before(i))) * levers[i]);
     still = moved <= kMoves;
   }
-  if (still && moved > kStill) {
+  if (still && moved > most) {
     double largest = 1.0;
     for (Eigen::Index i = 0; i < size; ++i) largest = std::max(largest, std::abs(now[i]));
-    still = moved <= kStill * largest;
+    still = moved <= most * largest;
   }
   if (!still) {
     steps = quiet ? 1 : 0;
@@ -376,22 +376,23 @@ void Rest::count_with(Before before, const double* now, const VecX& levers, bool
   ++steps;
 }
 
-void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, const VecX& levers, bool quiet) {
-  count_with([&](Eigen::Index i) { return before[entries[i]]; }, now.data(), levers, quiet);
+void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, const VecX& levers, bool quiet,
+                 bool dense) {
+  count_with([&](Eigen::Index i) { return before[entries[i]]; }, now.data(), levers, quiet,
+             dense ? kStillDense : kStill);
 }
 
 void Rest::count_undisturbed(const double* before, const double* now, const VecX& levers) {
-  count_with([=](Eigen::Index i) { return before[i]; }, now, levers, true);
+  count_with([=](Eigen::Index i) { return before[i]; }, now, levers, true, kStill);
 }
 
-// Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay,
-// and no dense steps that end some time.
+// Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay.
 void Island::count_rest(const VecX& before) {
-  bool quiet = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty() &&
-               !engine_->may_leave_dense_steps();
+  bool quiet = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty();
   const std::vector<ContactRow>& rows = recording_.contacts;
   for (const ContactRow& row : rows) quiet = quiet && row.t == rows.front().t && row.mode != ContactMode::kSlips;
-  rest_.count(before, numbers_->q, std::as_const(*engine_).state().q, levers_, quiet);
+  const RunState& state = std::as_const(*engine_).state();
+  rest_.count(before, numbers_->q, state.q, levers_, quiet, state.dense.active);
 }
 
 std::vector<double> Island::turns() const {

@@ -34,20 +34,23 @@ struct Rest {
   // How far a point of a body may be from where it was at the first of them, over the larger of 1 and the largest
   // coordinate: two spacings of the doubles there. A turn counts by what it moves the body's points.
   static constexpr double kStill = 4.5e-16;
+  // The same after dense steps [m]: what they leave of the gaps at rest adds up.
+  static constexpr double kStillDense = kSteps * DenseStep::kGapSolvedAtRest;
   static constexpr double kMoves = 1e-9;  // [m] this is no rest at coordinates below 2000 km, and not looked at further
 
   int steps = 0;
   VecX q;  // at the end of the first of them, once there are two
 
   // A step has ended at this configuration, which began at those entries of `before`; levers: how far a change of a
-  // coordinate by 1 moves points, at most 1 [m]; quiet: nothing but rest happened in it.
-  void count(const VecX& before, const std::vector<int>& entries, const VecX& now, const VecX& levers, bool quiet);
+  // coordinate by 1 moves points, at most 1 [m]; quiet: nothing but rest happened in it; dense: it was of dense steps.
+  void count(const VecX& before, const std::vector<int>& entries, const VecX& now, const VecX& levers, bool quiet,
+             bool dense);
   // As this, of numbers of the island; nothing but rest happened.
   void count_undisturbed(const double* before, const double* now, const VecX& levers);
 
  private:
   template <class Before>
-  void count_with(Before before, const double* now, const VecX& levers, bool quiet);
+  void count_with(Before before, const double* now, const VecX& levers, bool quiet, double most);
 };
 
 class Island {

@@ -151,8 +151,6 @@ class Simulator {
   Guards& guards() { return guards_; }
   const ContactStep& contact_step() const { return contact_step_; }
   const DenseStep& dense_step() const { return dense_step_; }
-  // Whether it takes dense steps now and locates events again after some quiet ones.
-  bool may_leave_dense_steps() const;
   // Whether a guard is closed, within tolerance, or has just opened.
   bool touches(int guard) const { return finder_.touching(guard); }
   Integrator& integrator() { return integrator_; }

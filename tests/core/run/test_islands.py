@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from contactvi.bench import heaps
 from helpers import engine
 from helpers.engine import contacts_of, core_scene
 
@@ -287,6 +288,21 @@ def test_who_passes_another_one_by_stays_alone():
     assert simulator.islands == 2
 
 
+def test_who_rattles_meets_only_whom_it_reaches():
+    """Twenty impacts between two walls in a step, over 20 mm in all: a ball 100 mm aside is not met."""
+    scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
+    scene.add_sphere("rattles", 0.05, placement=at(0.0505, 0.0, 0.0))
+    scene.add_sphere("aside", 0.05, placement=at(0.0505, 0.2, 0.0))
+    scene.add_halfspace((1.0, 0.0, 0.0), 0.0, name="low")
+    scene.add_halfspace((-1.0, 0.0, 0.0), -0.101, name="high")
+    scene.set_contact(restitution=0.999, friction=0.1)
+    v = np.zeros(12)
+    v[0] = 1.0
+    result, simulator = run(scene, v, 0.02, 5)
+    assert result["stats"]["impacts"] >= 90
+    assert simulator.islands == 2
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_islands_of_a_gas_are_few_bodies_each(seed):
     """A tenth of the room is filled, and a step moves a body by a fifth of its radius: who meets nobody is alone.
@@ -417,6 +433,24 @@ def test_islands_at_rest_are_not_solved_and_keep_their_forces():
     assert np.abs(np.abs(weights) / (masses * 9.81) - 1.0).max() <= 1e-9
     assert np.abs(rows["t"] - 1e-3 * rows["step"]).max() <= 1e-15
     assert same_bits(late["q"][0], late["q"][-1])
+
+
+@pytest.mark.parametrize("family, seed", [("cards", 1), ("mixed_tower", 2), ("dominoes", 2)])
+def test_a_heap_in_dense_steps_comes_to_rest(family, seed):
+    """What is at rest is solved to rounding, and then not solved at all; its forces carry it on."""
+    made = heaps.make(family, seed, restitution=0.0, friction=0.8)
+    scene, q, v = heaps.to_scene(made)
+    simulator = cvi.Simulator(scene, 1e-3, contact_mode="steps")
+    simulator.reset(q, v)
+    simulator.run(1200)
+    solved = simulator.trajectory().stats.dense_passes
+    assert simulator.run(200).code == cvi.StatusCode.SUCCESS
+    traj = simulator.trajectory()
+    assert traj.stats.dense_passes == solved
+    assert same_bits(traj.q[-1], traj.q[-200])
+    _, force = traj.contacts.on("plane0")
+    weight = 9.81 * sum(body.mass for body in made.bodies)
+    np.testing.assert_allclose(np.abs(force[-100:, 2]), weight, rtol=1e-9)
 
 
 def test_what_leaves_an_unstable_equilibrium_does_not_sleep():
