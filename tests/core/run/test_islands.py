@@ -435,7 +435,7 @@ def test_islands_at_rest_are_not_solved_and_keep_their_forces():
     assert same_bits(late["q"][0], late["q"][-1])
 
 
-@pytest.mark.parametrize("family, seed", [("cards", 1), ("mixed_tower", 2), ("dominoes", 2)])
+@pytest.mark.parametrize(("family", "seed"), [("cards", 1), ("mixed_tower", 2), ("dominoes", 2)])
 def test_a_heap_in_dense_steps_comes_to_rest(family, seed):
     """What is at rest is solved to rounding, and then not solved at all; its forces carry it on."""
     made = heaps.make(family, seed, restitution=0.0, friction=0.8)
