@@ -50,7 +50,7 @@ void Extrapolation::predict(double h, VecX& x) const {
   double t[kMost], product = 1.0;
   times(h, t);
   x = known_.differences.col(0);
-  for (int k = 1; k <= known_.degree; ++k) {
+  for (int k = 1; k <= known_.degree && t[0] - t[k] >= kApart * -t[0]; ++k) {
     product *= -t[k - 1];
     x += product * known_.differences.col(k);
   }

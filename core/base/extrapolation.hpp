@@ -31,6 +31,9 @@ class Extrapolation {
 
  private:
   static constexpr int kMost = 6;  // vectors kept
+  // Vectors that lie closer together than this part of their distance to what is predicted are used as one: after steps
+  // that were cut short the polynomial through them would multiply what they are off by.
+  static constexpr double kApart = 0.1;
 
   // The times of the vectors kept, from the middle of the next step of length h on [steps backwards, negative].
   void times(double h, double* t) const;

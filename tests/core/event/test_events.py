@@ -143,6 +143,23 @@ def test_events_at_and_next_to_a_node():
         assert traj.v[-1, 0] == pytest.approx(1.0, abs=1e-14)
 
 
+@pytest.mark.parametrize("gap", [1e-10, 1e-12, 1e-14, 0.0])
+@pytest.mark.parametrize("speed", [0.0, 1e-9, -1e-9])
+def test_what_slides_away_from_a_wall_needs_no_shorter_steps(gap, speed):
+    """The least gap is at the start, or nearly; a slip against the force ends at once, in steps of 1e-10 s and less."""
+    scene = cvi.Scene(gravity=(4.0, 0.0, -9.81))
+    scene.add_box("box", (0.1, 0.1, 0.1), placement=pin.SE3(np.eye(3), np.array([0.05 + gap, 0.0, 0.05])))
+    scene.add_halfspace()
+    scene.add_halfspace((1.0, 0.0, 0.0), 0.0, name="wall")
+    scene.set_contact(restitution=0.0, friction=0.2)
+    v = np.zeros(6)
+    v[0] = speed
+    traj = cvi.simulate(scene, scene.neutral(), v, duration=0.005, dt=1e-3, order=2)
+    assert traj.stats.halved == 0
+    slides = 0.5 * (4.0 - 0.2 * 9.81) * 0.005**2
+    assert traj.q[-1, 0] - traj.q[0, 0] == pytest.approx(slides, rel=1e-4)
+
+
 # --- sequences at one instant ---------------------------------------------------------------------------------------
 def row(masses, speeds, gap=0.0, restitution=1.0):
     """Balls of radius 1/8 in a row on a line (numbers exact in binary), the first at x = 1; velocities at the end."""
