@@ -70,7 +70,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
   }
   if (!raise_path()) return fail(Search::kNewtonFailed, -1, 0);
   if (!bound_again()) return Search::kUnresolved;
-  guards_->bound_doubt(q0, doubt_, h / (2 * path.stages() + 1));  // the integral of P_s is smaller by that factor
+  guards_->bound_doubt(doubt_, h / (2 * path.stages() + 1));  // the integral of P_s is smaller by that factor
   gaps_.set(path);
   for (Suspect& s : suspects_) {
     const Search outcome = start(s);
@@ -193,16 +193,37 @@ bool EventFinder::raise_path() {
 
 // Whether no suspect of a step with one stage comes near zero, which spares the half step that raises its path. The
 // velocities of its partial steps lead from v0 to that in the middle of the step; their whole change counts as doubt.
+// Those that do not are done with even if others may.
 bool EventFinder::plainly_clear() {
-  for (const Suspect& s : suspects_)
-    if (memory_.touching[s.guard] || !(s.end_gap > 0.0)) return false;
-  guards_->bound_doubt(*q0_, doubt_, h_);
+  guards_->bound_doubt(doubt_, h_);
   gaps_.set(*path_);
+  bool all = true;
   for (Suspect& s : suspects_) {
-    s.from = gaps_.at(s.guard, 0.0);
-    s.started = true;
-    if (!gaps_.plainly_clear(s.guard, s.from, gaps_.at(s.guard, 1.0))) return false;
+    if (stays_open(s)) continue;
+    bool clear = !memory_.touching[s.guard] && s.end.gap > 0.0;
+    if (clear) {
+      look_at_start(s);
+      clear = gaps_.plainly_clear(s.guard, s.from, s.end.gap);
+    }
+    if (clear) s.from.tau = 1.0;
+    all &= clear;
   }
+  return all;
+}
+
+// Whether distances along one direction at both ends of the step show that the suspect has no event; it is done with
+// then.
+bool EventFinder::stays_open(Suspect& s) {
+  if (memory_.touching[s.guard] || s.from.tau > 0.0) return s.from.tau == 1.0;
+  const double sag = gaps_.sag_in_step(s.guard);
+  if (!(s.end.along > sag)) return false;
+  if (guards_->has_gap_along(s.guard)) {
+    if (!(gaps_.along(s.guard, 0.0, s.end.direction) > sag)) return false;
+  } else {
+    look_at_start(s);
+    if (!(s.from.gap > sag)) return false;
+  }
+  s.from.tau = 1.0;
   return true;
 }
 
@@ -280,12 +301,21 @@ bool EventFinder::collect(int g) {
   }
   active_.push_back(g);
   const Point none{0.0, 0.0, 0.0};
-  suspects_.push_back({g, gap, none, false, false, none, none, false, false, 0.0});
+  Point end{1.0, gap, 0.0};
+  gaps_.look_along(g, contact_, end);
+  suspects_.push_back({g, end, none, false, false, none, none, false, false, 0.0});
   return true;
 }
 
+void EventFinder::look_at_start(Suspect& s) {
+  if (!s.started) s.from = gaps_.at_with_direction(s.guard, 0.0);
+  s.started = true;
+}
+
 Search EventFinder::start(Suspect& s) {
-  const Point a = s.started ? s.from : gaps_.at(s.guard, 0.0);
+  if (stays_open(s)) return Search::kNone;
+  look_at_start(s);
+  const Point a = s.from;
   const double tolerance = Guards::kTouching;
   if (!std::isfinite(a.gap)) return fail(Search::kUnresolved, s.guard, a.gap);
   if (memory_.touching[s.guard] && a.gap > tolerance) memory_.touching[s.guard] = 0;
@@ -295,7 +325,6 @@ Search EventFinder::start(Suspect& s) {
     set_touching(s.guard, true);
   }
   if (memory_.touching[s.guard]) return separate_touching(s, a);
-  s.from = a;
   return Search::kNone;
 }
 
@@ -315,7 +344,10 @@ Search EventFinder::find_first(Suspect*& first) {
 Search EventFinder::advance(Suspect& s, double limit) {
   while (!s.crosses && s.from.tau < limit) {
     Point to = gaps_.at(s.guard, limit);
-    if (limit == 1.0) to.gap = s.end_gap;
+    if (limit == 1.0) {
+      s.end.rate = to.rate;
+      to = s.end;
+    }
     Point lo{}, hi{};
     switch (gaps_.first(s.guard, s.from, to, lo, hi)) {
       case GapPath::Course::kClear:
@@ -344,7 +376,7 @@ void EventFinder::cross(Suspect& s, const Point& lo, const Point& hi, double off
   s.lo = lo;
   s.hi = hi;
   s.lo_sure = lo.tau == 0.0 || lo.gap > gaps_.doubt(s.guard, lo.tau);
-  s.hi_sure = (hi.tau == 1.0 && s.end_gap <= 0.0) || hi.gap < -gaps_.doubt(s.guard, hi.tau);
+  s.hi_sure = (hi.tau == 1.0 && s.end.gap <= 0.0) || hi.gap < -gaps_.doubt(s.guard, hi.tau);
   s.root = gaps_.root(s.guard, lo, hi, offset);
 }
 
@@ -402,8 +434,8 @@ void EventFinder::forget_step() {
 void EventFinder::settle() {
   memory_.exempt.clear();
   for (const Suspect& s : suspects_) {
-    if (s.end_gap > Guards::kTouching) memory_.touching[s.guard] = 0;
-    if (!memory_.touching[s.guard]) guards_->mark(s.guard, s.end_gap);
+    if (s.end.gap > Guards::kTouching) memory_.touching[s.guard] = 0;
+    if (!memory_.touching[s.guard]) guards_->mark(s.guard, s.end.gap);
   }
   guards_->commit();
   settled_ = true;

@@ -104,8 +104,8 @@ class EventFinder {
   // A guard that may reach zero in the step, and what the search has found about it.
   struct Suspect {
     int guard;
-    double end_gap;  // exact
-    Point from;      // the gap is positive there and has not been zero before
+    Point end;   // its gap is exact
+    Point from;  // the gap is positive there and has not been zero before; at the end of the step: nor will be
     bool crosses, stays_closed;
     Point lo, hi;           // ends of a crossing: gap > 0 and <= 0 on the path
     bool lo_sure, hi_sure;  // whether these signs hold on the exact path too
@@ -118,10 +118,12 @@ class EventFinder {
   const VecX& bound_of(const double* rate, const double* before);
   bool raise_path();
   bool plainly_clear();
+  bool stays_open(Suspect& s);
   bool bound_again();
   void forget_last();
   bool collect();
   bool collect(int guard);
+  void look_at_start(Suspect& s);
   Search start(Suspect& s);
   Search separate_touching(Suspect& s, Point a);
   Search close(Suspect& s, const Point& a, const Point& below);

@@ -41,13 +41,19 @@ bool has_function(const Scene& scene, int guard) {
 }  // namespace
 
 GapPath::GapPath(Guards& guards)
-    : guards_(&guards), q_(guards.scene().tree.nq), v_(VecX::Zero(guards.scene().tree.nv)), W_(guards.scene().tree.nv) {
+    : guards_(&guards),
+      q_(guards.scene().tree.nq),
+      v_(VecX::Zero(guards.scene().tree.nv)),
+      W_(guards.scene().tree.nv),
+      bend_(guards.scene().tree.nv) {
   joints_.reserve(2 * guards.scene().tree.joints.size());
 }
 
 void GapPath::set(const StepPath& path) {
   path_ = &path;
   q_ = path.q0();
+  path.bend(bend_);
+  guards_->bound_bend(bend_, path.h());
 }
 
 double GapPath::rate(int guard, double tau, const VecX& W) {
@@ -71,6 +77,21 @@ GapPath::Point GapPath::at(int guard, double tau) {
   return {tau, gap, rate(guard, tau, W_)};
 }
 
+GapPath::Point GapPath::at_with_direction(int guard, double tau) {
+  Point point = at(guard, tau);
+  look_along(guard, contact_, point);
+  return point;
+}
+
+void GapPath::look_along(int guard, const Contact& contact, Point& point) {
+  if (guards_->is_along_one_direction(guard)) {
+    point.along = point.gap;
+  } else if (guards_->has_gap_along(guard) && point.gap > 0.0) {
+    point.direction = guards_->direction(guard, contact);
+    point.along = guards_->gap_along(guard, point.direction);
+  }
+}
+
 double GapPath::doubt(int guard, double tau) const {
   // The error has zeros of order two or more at both ends, so a straight line from there bounds it.
   const double weight = std::min(1.0, 8.0 * std::min(tau, 1.0 - tau));
@@ -82,16 +103,47 @@ double GapPath::smooth_width(int guard) const {
   return turn * kSmooth > kTurn ? kTurn / turn : kSmooth;
 }
 
+double GapPath::along(int guard, double tau, const Vec3& direction) {
+  guards_->list_joints(guard, joints_);
+  path_->configuration(tau, joints_, q_);
+  guards_->place(q_);
+  return guards_->gap_along(guard, direction);
+}
+
+// The distance of two points along one direction lies below its chord by an eighth of its second derivative at most. So
+// the least distance of many points is nowhere lower than its lower end by more.
+double GapPath::sag(int guard, double width) const {
+  return 0.125 * width * width * guards_->bend(guard) + guards_->doubt(guard);
+}
+
+// Persistent points of a halfspace are held where they are in all partial steps, to what gaps are kept to, or leave.
+double GapPath::sag_in_step(int guard) const {
+  const double sag = this->sag(guard, 1.0);
+  if (!guards_->is_persistent(guard) || !guards_->is_along_one_direction(guard)) return sag;
+  return std::min(sag, 0.125 * guards_->bend_about_points(guard) + guards_->doubt_about_points(guard) +
+                           2.0 * guards_->promised(guard));
+}
+
 // Between the ends a convex gap lies above its tangents and a concave one above its chord. What turns it from the one
 // to the other is the rotation of the bodies, which changes its rate by less than the motion times the angle.
-bool GapPath::plainly_clear(int guard, const Point& start, const Point& end) const {
+bool GapPath::plainly_clear(int guard, const Point& start, double end_gap) {
+  if (start.gap + end_gap > guards_->motion(guard) && !guards_->gap_may_jump(guard)) return true;
   const double turn = guards_->turn(guard);
   const double unsure = 2.0 * guards_->doubt(guard) + turn * guards_->motion(guard);
-  return turn <= kTurn && lowest(start, end) > unsure && !has_function(guards_->scene(), guard);
+  return turn <= kTurn && std::min(start.gap, end_gap) > unsure && !has_function(guards_->scene(), guard) &&
+         lowest(start, at(guard, 1.0)) > unsure;
 }
 
 GapPath::Course GapPath::first(int guard, const Point& from, const Point& to, Point& lo, Point& hi) {
   return search(guard, from, to, std::numeric_limits<double>::infinity(), lo, hi);
+}
+
+// Whether distances along the direction of `known` show that the gap is positive from there to where the bodies are
+// placed.
+bool GapPath::stays_open(int guard, const Point& known, const Point& here) {
+  const double least = sag(guard, std::abs(here.tau - known.tau));
+  if (!(std::min(known.along, here.gap) > least)) return false;
+  return guards_->is_along_one_direction(guard) || guards_->gap_along(guard, known.direction) > least;
 }
 
 // mismatch: distance of the gap from the cubic at the middle of the interval of which [a, b] is one half.
@@ -114,11 +166,13 @@ GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, doubl
   }
   const double mid = 0.5 * (a.tau + b.tau);
   if (!(mid > a.tau && mid < b.tau)) return b.gap <= 0.0 ? Course::kCrossing : Course::kClear;
-  const Point m = at(guard, mid);
+  const Point m = at_with_direction(guard, mid);
+  const bool left_open = stays_open(guard, a, m), right_open = stays_open(guard, b, m);
   const double cubic = 0.5 * (a.gap + b.gap) + 0.125 * width * (a.rate - b.rate);
   const double off = std::abs(m.gap - cubic);
-  const Course left = search(guard, a, m, off, lo, hi);
-  return left == Course::kClear ? search(guard, m, b, off, lo, hi) : left;
+  const Course left = left_open ? Course::kClear : search(guard, a, m, off, lo, hi);
+  if (left != Course::kClear || right_open) return left;
+  return search(guard, m, b, off, lo, hi);
 }
 
 double GapPath::root(int guard, Point lo, Point hi, double offset) {

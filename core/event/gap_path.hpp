@@ -5,6 +5,8 @@
 // step are cut further until the gap follows the cubic through its values and rates; then tangents exclude a dip.
 #pragma once
 
+#include <limits>
+
 #include "geometry/guard.hpp"
 #include "step/path.hpp"
 
@@ -16,6 +18,9 @@ class GapPath {
 
   struct Point {
     double tau, gap, rate;  // rate: d(gap)/d(tau)
+    // A lower bound on the gap, the distance along a direction that the base of the pair keeps; none: minus infinity.
+    double along = -std::numeric_limits<double>::infinity();
+    Vec3 direction = Vec3::Zero();
   };
   enum class Course {
     kClear,     // > 0
@@ -24,14 +29,25 @@ class GapPath {
     kFailed     // not finite
   };
 
-  // Sets the path, which has been raised; the guards' motion and doubt over its step have been bounded.
+  // Sets the path, which has been raised or leant; the guards' motion and doubt over its step have been bounded.
   void set(const StepPath& path);
   Point at(int guard, double tau);
+  // As this, with the distance along the direction of the contact there.
+  Point at_with_direction(int guard, double tau);
   // d(gap)/d(tau) at tau of the guard's gap with the gradient W there, shape (nv,).
   double rate(int guard, double tau, const VecX& W);
 
+  // As at, of the shapes of a pair along a direction that their base keeps.
+  double along(int guard, double tau, const Vec3& direction);
+  // How much a distance along one direction may fall below its lower end, or come nearer to zero on the exact path than
+  // on this one, in a part of the step of this width.
+  double sag(int guard, double width) const;
+  // As sag in the whole step, of exact ends.
+  double sag_in_step(int guard) const;
+  // As at_with_direction, where the bodies are placed, of the contact there.
+  void look_along(int guard, const Contact& contact, Point& point);
   // Whether the guard's gap, positive at both ends of the step, stays so beyond doubt, from these ends alone.
-  bool plainly_clear(int guard, const Point& start, const Point& end) const;
+  bool plainly_clear(int guard, const Point& start, double end_gap);
   // The first event of the guard between from, with a gap > 0, and to.
   Course first(int guard, const Point& from, const Point& to, Point& lo, Point& hi);
   // Place where the gap plus offset is zero; it is > 0 at lo and <= 0 at hi.
@@ -45,13 +61,14 @@ class GapPath {
 
  private:
   Course search(int guard, const Point& a, const Point& b, double mismatch, Point& lo, Point& hi);
+  bool stays_open(int guard, const Point& known, const Point& here);
 
   Guards* guards_;
   const StepPath* path_ = nullptr;
   // Where only the guard's own joints are placed; the others are at the start of the step.
   VecX q_;
   VecX v_;  // zero but inside of rate
-  VecX W_;
+  VecX W_, bend_;
   std::vector<int> joints_;
   Contact contact_;
 };

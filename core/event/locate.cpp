@@ -54,7 +54,7 @@ Search EventFinder::separate_touching(Suspect& s, Point a) {
   bool closes = false;
   for (int k = 0; k < kMaxCuts; ++k) {
     Point m = gaps_.at(g, std::min(1.0, a.tau + width));
-    if (m.tau == 1.0) m.gap = s.end_gap;
+    if (m.tau == 1.0) m.gap = s.end.gap;
     const double unsure = gaps_.doubt(g, m.tau);
     if (m.gap < -kClosing && m.gap > -kClosing - unsure && !exact_at(g, m.tau, m))
       return fail(Search::kNewtonFailed, g, 0);
@@ -156,7 +156,7 @@ Search EventFinder::resume(Suspect& s, const Point& from) {
   for (double tau = from.tau; tau < 1.0;) {
     tau = std::min(1.0, tau + step);
     Point p = gaps_.at(g, tau);
-    if (tau == 1.0) p.gap = s.end_gap;
+    if (tau == 1.0) p.gap = s.end.gap;
     if (p.gap <= (tau == 1.0 ? 0.0 : -gaps_.doubt(g, tau))) {
       cross(s, from, p, 0.0);
       s.lo_sure = s.hi_sure = true;

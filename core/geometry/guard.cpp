@@ -34,6 +34,7 @@ Guards::Guards(const Scene& scene, int contact_points)
       placed_for_(scene.tree.joints.size(), -1),
       distance_bounds_(scene.pairs.size()),
       linear_(scene.tree.joints.size()),
+      own_arm_(scene.tree.joints.size()),
       arm_(scene.tree.joints.size()),
       gap_(count_),
       gap_for_(count_, -1),
@@ -43,7 +44,7 @@ Guards::Guards(const Scene& scene, int contact_points)
   find_ways();
   odometer_.resize(scene.geometries.size() + ways_.size());
   interval_start_.resize(odometer_.size());
-  for (Reach* reach : {&motion_, &doubt_, &expected_}) {
+  for (Reach* reach : {&motion_, &doubt_, &bend_, &expected_}) {
     reach->geometry.resize(odometer_.size());
     reach->limit.resize(scene.tree.limits.size());
     reach->turn.resize(scene.tree.joints.size());
@@ -380,19 +381,37 @@ double Guards::depth_tolerance(int guard) const {
 void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
   span_ended_ = span_.any();
   end_span();
-  propagate_reach(q, bound, h, 1.0, motion_);
+  bound_arms(q, bound, h, 1.0);
+  propagate_reach(bound, h, motion_);
 }
 
-void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { propagate_reach(q, doubt, h, 1.0, doubt_); }
+void Guards::bound_doubt(const VecX& doubt, double h) { propagate_reach(doubt, h, doubt_); }
 
-// Over one step, the first of so many like it.
-void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, double steps, Reach& reach) {
+void Guards::bound_bend(const VecX& bend, double h) { propagate_reach(bend, h, bend_); }
+
+// The joints that prismatic ones and the like lengthen, over so many steps like this one.
+void Guards::bound_arms(const VecCRef& q, const VecX& bound, double h, double steps) {
+  const Tree& tree = scene_->tree;
+  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
+    const Joint& joint = tree.joints[i];
+    double& arm = own_arm_[i];
+    arm = joint.p_PJ.norm();
+    if (joint.type == JointType::kPrismatic) arm += std::abs(q[joint.iq]) + steps * h * bound[joint.iv];
+    if (joint.type == JointType::kHelical)
+      arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + steps * h * bound[joint.iv]);
+    if (joint.type == JointType::kTranslation)
+      arm += q.segment<3>(joint.iq).norm() + steps * h * bound.segment<3>(joint.iv).norm();
+  }
+}
+
+// Over one step, within the arms bounded before.
+void Guards::propagate_reach(const VecX& bound, double h, Reach& reach) {
   const Tree& tree = scene_->tree;
   for (std::size_t k = 0; k < tree.limits.size(); ++k) reach.limit[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
   if (scene_->geometries.empty()) return;
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const Joint& joint = tree.joints[i];
-    double angular = 0, linear = 0, arm = joint.p_PJ.norm();
+    double angular = 0, linear = 0, arm = own_arm_[i];
     const double path = h * bound[joint.iv];
     switch (joint.type) {
       case JointType::kRevolute:
@@ -402,16 +421,13 @@ void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, doub
         break;
       case JointType::kPrismatic:
         linear = path;
-        arm += std::abs(q[joint.iq]) + steps * path;
         break;
       case JointType::kHelical:
         angular = path;
         linear = std::abs(joint.pitch) * path;
-        arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + steps * path);
         break;
       case JointType::kTranslation:
         linear = h * bound.segment<3>(joint.iv).norm();
-        arm += q.segment<3>(joint.iq).norm() + steps * linear;
         break;
     }
     if (joint.parent >= 0) {
@@ -448,10 +464,54 @@ double Guards::motion(int guard) const { return reach_of(motion_, guard); }
 
 double Guards::doubt(int guard) const { return reach_of(doubt_, guard); }
 
-double Guards::turn(int guard) const {
+// A second derivative has the accelerations of the joints, which add up as velocities do, and for each two joints the
+// product of their rates and the arm of the later one, twice: together no more than the turn times the motion.
+double Guards::bend(int guard) const { return reach_of(bend_, guard) + 2.0 * turn(guard) * motion(guard); }
+
+// The arms are those between two points of a shape, which is bounded.
+double Guards::bend_about_points(int guard) const {
+  return longest_arm(guard) * (turn_of(bend_, guard) + 2.0 * turn(guard) * turn(guard));
+}
+
+double Guards::doubt_about_points(int guard) const { return longest_arm(guard) * turn_of(doubt_, guard); }
+
+double Guards::longest_arm(int guard) const {
+  const Pair& pair = scene_->pairs[guard];
+  return 2.0 * (scene_->geometries[pair.a].unbounded ? scene_->geometries[pair.b] : scene_->geometries[pair.a]).radius;
+}
+
+bool Guards::is_along_one_direction(int guard) const {
+  if (guard >= pairs_) return true;
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b], &half = a.unbounded ? a : b;
+  if (!half.unbounded || half.surface || half.body != bases_[guard]) return false;
+  return !is_persistent(guard) || !manifolds_.has_rims(guard);
+}
+
+bool Guards::has_gap_along(int guard) const {
+  if (guard >= pairs_ || is_persistent(guard)) return false;
+  const Pair& pair = scene_->pairs[guard];
+  return is_along_one_direction(guard) ||
+         (!scene_->geometries[pair.a].unbounded && !scene_->geometries[pair.b].unbounded);
+}
+
+double Guards::gap_along(int guard, const Vec3& direction) {
+  place_pair(guard);
+  const int base = bases_[guard];
+  return manifolds_.gap_along(guard, placements_, base < 0 ? direction : Vec3(placements_.R_W[base] * direction));
+}
+
+Vec3 Guards::direction(int guard, const Contact& contact) const {
+  const int base = bases_[guard];
+  return base < 0 ? contact.normal : Vec3(placements_.R_W[base].transpose() * contact.normal);
+}
+
+double Guards::turn(int guard) const { return turn_of(motion_, guard); }
+
+double Guards::turn_of(const Reach& reach, int guard) const {
   if (guard >= pairs_) return 0.0;
   const Pair& pair = scene_->pairs[guard];
-  const auto turn = [this](int body) { return body < 0 ? 0.0 : motion_.turn[body]; };
+  const auto turn = [&reach](int body) { return body < 0 ? 0.0 : reach.turn[body]; };
   return turn(scene_->geometries[pair.a].body) + turn(scene_->geometries[pair.b].body) - 2.0 * turn(bases_[guard]);
 }
 
@@ -525,7 +585,9 @@ void Guards::commit(double part) {
 void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
   keep_start();
   ++spans_;
-  propagate_reach(q1, span_.set_reference(bound, h), 1.0, ClearSpan::kLongest, expected_);
+  const VecX& path = span_.set_reference(bound, h);
+  bound_arms(q1, path, 1.0, ClearSpan::kLongest);
+  propagate_reach(path, 1.0, expected_);
   double allowed = ClearSpan::kLongest;
   const auto limit = [&allowed](double room, double motion) {
     if (!(room >= allowed * motion)) allowed = room / motion;

@@ -134,9 +134,27 @@ class Guards {
   void bound_motion(const VecCRef& q, const VecX& bound, double h);
   double motion(int guard) const;  // of the guard's two bodies together in that step
   double turn(int guard) const;    // rotation of the two bodies together in that step [rad]
-  // As bound_motion, for velocities that are known to within `doubt` only: doubt(guard) is the possible error of a gap.
-  void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
+  // As bound_motion, after it, for velocities that are known to within `doubt` only: doubt(guard) is the possible error
+  // of a gap.
+  void bound_doubt(const VecX& doubt, double h);
   double doubt(int guard) const;
+  // Of a path whose rates change by no more than bend per time tau, shape (nv,), after bound_motion: bend(guard) bounds
+  // d2/dtau2 of the distance between two points of the guard's bodies along any direction that their base keeps.
+  void bound_bend(const VecX& bend, double h);
+  double bend(int guard) const;
+  // As bend(), and as doubt(), of a pair whose points are as far along the direction as its persistent ones but for what
+  // they turn about these.
+  double bend_about_points(int guard) const;
+  double doubt_about_points(int guard) const;
+  // Whether the gap is the least of such distances along one direction, of the same points whatever the motion: that of
+  // a joint limit, and over a halfspace that its base holds.
+  bool is_along_one_direction(int guard) const;
+  // Whether gap_along() bounds the gap: that of a pair whose features all count.
+  bool has_gap_along(int guard) const;
+  // How far the shapes of a pair are from each other along a direction that their base keeps, where the bodies are
+  // placed: a lower bound on the gap. And the direction of a contact there.
+  double gap_along(int guard, const Vec3& direction);
+  Vec3 direction(int guard, const Contact& contact) const;
   // True if the odometers say that the gap stays open in the step and is larger than the step's motion at its end. A
   // guard whose gap is not is a suspect, so that suspects do not depend on when guards were last evaluated.
   bool skip(int guard) const;
@@ -216,8 +234,11 @@ class Guards {
   struct Reach {
     std::vector<double> geometry, limit, turn;
   };
-  void propagate_reach(const VecCRef& q, const VecX& bound, double h, double steps, Reach& reach);
+  void bound_arms(const VecCRef& q, const VecX& bound, double h, double steps);
+  void propagate_reach(const VecX& bound, double h, Reach& reach);
   double reach_of(const Reach& reach, int guard) const;
+  double turn_of(const Reach& reach, int guard) const;
+  double longest_arm(int guard) const;
   // Of the two shapes of a pair together, of quantities per geometry as in Reach.
   double both(const std::vector<double>& values, int guard) const {
     return values[pair_ways_[guard].first] + values[pair_ways_[guard].second];
@@ -253,15 +274,16 @@ class Guards {
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
   DistanceBounds distance_bounds_;
-  std::vector<double> linear_;  // per body: bound on its origin's displacement
-  std::vector<double> arm_;     // per body: the lengths of its chain from the world
+  std::vector<double> linear_;   // per body: bound on its origin's displacement
+  std::vector<double> own_arm_;  // per body: bound on the distance of its origin from its parent's
+  std::vector<double> arm_;      // per body: the lengths of its chain from the world
   struct Way {
     int geometry, base;  // in the frame of this body
   };
   std::vector<Way> ways_;                       // of pairs of one tree
   std::vector<std::pair<int, int>> pair_ways_;  // of each pair: where the motions of its shapes are in Reach::geometry
   std::vector<int> bases_;                      // of each pair: the last body that moves both shapes, -1: none
-  Reach motion_, doubt_, expected_;             // expected: in a reference step of the span
+  Reach motion_, doubt_, bend_, expected_;      // expected: in a reference step of the span
   std::vector<double> odometer_;                // per geometry and way, as in Reach
   std::vector<double> interval_start_;          // as it was where the interval began, kept where it is about to change
   double interval_used_ = 0.0;                  // of the span, where the interval began

@@ -501,10 +501,9 @@ bool Manifolds::none_deeper(int pair, const Placements& at, const ContactPoint* 
   if (surface_of(pair) != nullptr) return true;  // all of its vertices are looked at
   const double least = deepest(persistent, count, at);
   if (least == kInfinity) return false;
-  const PairView v = view(pair, at);
   Contact contact;
   evaluate(*persistent[0], at, contact);
-  return gap_along(*v.a, v.pose_a, *v.b, v.pose_b, contact.normal) - least >= -kDeeper * noise(pair);
+  return gap_along(pair, at, contact.normal) - least >= -kDeeper * noise(pair);
 }
 
 // Where coal's distance is deeper than the persistent points, a feature has closed that the faces do not list: coal's
@@ -523,6 +522,10 @@ double Manifolds::include_witness(int pair, const Placements& at, const ContactP
 bool Manifolds::has_lines(int pair) const {
   return features(pair, scene_->pairs[pair].a).edges.size() == 1 &&
          features(pair, scene_->pairs[pair].b).edges.size() == 1;
+}
+
+bool Manifolds::has_rims(int pair) const {
+  return !features(pair, scene_->pairs[pair].a).rims.empty() || !features(pair, scene_->pairs[pair].b).rims.empty();
 }
 
 bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
@@ -545,6 +548,11 @@ bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
   const Contact none{};
   next_gap(pair, at, nullptr, 0, &none, kInfinity, contact);
   return true;
+}
+
+double Manifolds::gap_along(int pair, const Placements& at, const Vec3& n_W) const {
+  const PairView v = view(pair, at);
+  return contactvi::gap_along(*v.a, v.pose_a, *v.b, v.pose_b, n_W);
 }
 
 bool Manifolds::refine(int pair, const Placements& at, Contact& contact) const {

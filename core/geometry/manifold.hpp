@@ -118,6 +118,8 @@ class Manifolds {
   // along the normal, and takes a wrong point of capsules at an angle below 1e-4 rad, up to 4e-7 m too far.
   bool nearest(int pair, const Placements& at, Contact& contact);
 
+  // A lower bound on the gap of the pair: how far its shapes are from each other along n_W (nearest_features.hpp).
+  double gap_along(int pair, const Placements& at, const Vec3& n_W) const;
   // Coal's contact of the pair, to rounding (nearest_features.hpp). False where it stays as it is.
   bool refine(int pair, const Placements& at, Contact& contact) const;
 
@@ -172,6 +174,8 @@ class Manifolds {
 
   // Whether both shapes are capsules or cylinders, whose axes are lines; whether both are capsules.
   bool has_lines(int pair) const;
+  // Whether one of the shapes has rims, which touch in other points as they tilt.
+  bool has_rims(int pair) const;
   bool has_capsules(int pair) const { return is_capsule_[scene_->pairs[pair].a] && is_capsule_[scene_->pairs[pair].b]; }
 
   // Where the shapes of one body form one surface.

@@ -194,6 +194,12 @@ void StepPath::bound(VecRef bound) const {
   for (int k = 0; k < count_; ++k) add_size(*tree_, coef_.col(k), 1.0, bound);
 }
 
+// The derivative of P_k is largest at the ends, k (k + 1) / 2, and 2 tau - 1 runs twice as fast as tau.
+void StepPath::bend(VecRef bend) const {
+  bend.setZero();
+  for (int k = 1; k < count_; ++k) add_size(*tree_, coef_.col(k), k * (k + 1.0), bend);
+}
+
 void StepPath::doubt(VecRef doubt) const {
   doubt.setZero();
   if (raised_) {

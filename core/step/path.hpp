@@ -51,6 +51,8 @@ class StepPath {
   // Estimate of the error of the rates from the last coefficients; entries as in bound(). A single stage that was
   // neither raised nor leant gives none: all of its rate then counts as error.
   void doubt(VecRef doubt) const;
+  // Bound on |X''|, d/dtau of the rates; entries as in bound().
+  void bend(VecRef bend) const;
 
  private:
   void joint_displacement(const double* I, int iv, int nv, double* X) const;
