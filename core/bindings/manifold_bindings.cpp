@@ -144,7 +144,7 @@ std::vector<std::pair<int, std::vector<int>>> far_vertices(const std::vector<Vec
     const double least = m.dot(vertices[farthest]) - depth;
     found.emplace_back(farthest, std::vector<int>());
     tree.each(
-        m, [&](const Vec3& center, double radius) { return m.dot(center) + radius >= least; },
+        m, [&](const VertexTree::Bound& bound) { return bound.reach(m) >= least; },
         [&](int i) {
           if (m.dot(vertices[i]) >= least) found.back().second.push_back(i);
         });

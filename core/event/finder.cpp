@@ -215,14 +215,11 @@ bool EventFinder::plainly_clear() {
 // then.
 bool EventFinder::stays_open(Suspect& s) {
   if (memory_.touching[s.guard] || s.from.tau > 0.0) return s.from.tau == 1.0;
-  const double sag = gaps_.sag_in_step(s.guard);
-  if (!(s.end.along > sag)) return false;
-  if (guards_->has_gap_along(s.guard)) {
-    if (!(gaps_.along(s.guard, 0.0, s.end.direction) > sag)) return false;
-  } else {
-    look_at_start(s);
-    if (!(s.from.gap > sag)) return false;
-  }
+  if (!(s.end.along > 0.0)) return false;
+  const bool along = guards_->has_gap_along(s.guard);
+  if (!along) look_at_start(s);
+  const double start = along ? gaps_.along(s.guard, 0.0, s.end.direction) : s.from.gap;
+  if (!(gaps_.least_in_step(s.guard, start, s.end.along, s.held) > 0.0)) return false;
   s.from.tau = 1.0;
   return true;
 }
@@ -304,6 +301,8 @@ bool EventFinder::collect(int g) {
   Point end{1.0, gap, 0.0};
   gaps_.look_along(g, contact_, end);
   suspects_.push_back({g, end, none, false, false, none, none, false, false, 0.0});
+  suspects_.back().held =
+      scene_->is_pair(g) && guards_->is_persistent(g) && guards_->is_along_one_direction(g) && guards_->is_held(g);
   return true;
 }
 

@@ -111,6 +111,7 @@ class EventFinder {
     bool lo_sure, hi_sure;  // whether these signs hold on the exact path too
     double root;
     bool started = false;  // whether `from` is the start of the step
+    bool held = false;     // whether a persistent point over a halfspace touches at the end of the step
   };
 
   bool bound_step();

@@ -31,6 +31,15 @@ double lowest(const GapPath::Point& a, const GapPath::Point& b) {
   return meet > 0.0 && meet < 1.0 ? a.gap + width * a.rate * meet : ends;
 }
 
+// The least between two ends a and b of what bends by no more than `bend`: it lies below its chord by at most
+// bend s (1 - s) / 2. So does the least of many such, since each lies above the chord of their least at the ends but
+// for that.
+double below_chord(double a, double b, double bend) {
+  const double half = 0.5 * bend, rise = b - a;
+  if (!(std::abs(rise) < half)) return std::min(a, b);
+  return a - 0.25 * (half - rise) * (half - rise) / half;
+}
+
 // Whether the gap is that of a surface given by a function, which may rise and fall anywhere.
 bool has_function(const Scene& scene, int guard) {
   if (!scene.is_pair(guard)) return false;
@@ -110,22 +119,21 @@ double GapPath::along(int guard, double tau, const Vec3& direction) {
   return guards_->gap_along(guard, direction);
 }
 
-// The distance of two points along one direction lies below its chord by an eighth of its second derivative at most. So
-// the least distance of many points is nowhere lower than its lower end by more.
-double GapPath::sag(int guard, double width) const {
-  return 0.125 * width * width * guards_->bend(guard) + guards_->doubt(guard);
+double GapPath::least_between(int guard, double a, double b, double width) const {
+  return below_chord(a, b, width * width * guards_->bend(guard)) - guards_->doubt(guard);
 }
 
-// Persistent points of a halfspace are held where they are in all partial steps, to what gaps are kept to, or leave.
-double GapPath::sag_in_step(int guard) const {
-  const double sag = this->sag(guard, 1.0);
-  if (!guards_->is_persistent(guard) || !guards_->is_along_one_direction(guard)) return sag;
-  return std::min(sag, 0.125 * guards_->bend_about_points(guard) + guards_->doubt_about_points(guard) +
-                           2.0 * guards_->promised(guard));
+// No partial step lets a persistent point go deeper than what gaps are kept to, and the others turn about it.
+double GapPath::least_in_step(int guard, double start, double end, bool held) const {
+  const double least = least_between(guard, start, end, 1.0);
+  if (!held) return least;
+  return std::max(least, below_chord(start, end, guards_->bend_about_points(guard)) -
+                             guards_->doubt_about_points(guard) - 2.0 * guards_->promised(guard));
 }
 
 // Between the ends a convex gap lies above its tangents and a concave one above its chord. What turns it from the one
-// to the other is the rotation of the bodies, which changes its rate by less than the motion times the angle.
+// to the other is the rotation of the bodies, which changes its rate by less than the motion times the angle. Or its
+// ends add up to more than the motion, as in search().
 bool GapPath::plainly_clear(int guard, const Point& start, double end_gap) {
   if (start.gap + end_gap > guards_->motion(guard) && !guards_->gap_may_jump(guard)) return true;
   const double turn = guards_->turn(guard);
@@ -141,9 +149,9 @@ GapPath::Course GapPath::first(int guard, const Point& from, const Point& to, Po
 // Whether distances along the direction of `known` show that the gap is positive from there to where the bodies are
 // placed.
 bool GapPath::stays_open(int guard, const Point& known, const Point& here) {
-  const double least = sag(guard, std::abs(here.tau - known.tau));
-  if (!(std::min(known.along, here.gap) > least)) return false;
-  return guards_->is_along_one_direction(guard) || guards_->gap_along(guard, known.direction) > least;
+  if (!(std::min(known.along, here.gap) > 0.0)) return false;
+  const double along = guards_->is_along_one_direction(guard) ? here.gap : guards_->gap_along(guard, known.direction);
+  return least_between(guard, known.along, along, std::abs(here.tau - known.tau)) > 0.0;
 }
 
 // mismatch: distance of the gap from the cubic at the middle of the interval of which [a, b] is one half.

@@ -1,8 +1,10 @@
 // The gap of a guard along the path of a step, evaluated by geometry alone: where does it first come to zero?
 //
-// An interval has no zero if its two gaps add up to more than the bodies can move in it: apart from that bound on the
-// speed nothing is assumed about the gap. Intervals in which the bodies turn little and that are a small part of the
-// step are cut further until the gap follows the cubic through its values and rates; then tangents exclude a dip.
+// An interval has no zero if its two gaps add up to more than the bodies can move in it, or if the shapes are so far
+// from each other along one direction at both ends that no distance along it can bend to zero between them: apart from
+// these bounds on speed and acceleration nothing is assumed about the gap. Other intervals in which the bodies turn
+// little and that are a small part of the step are cut further until the gap follows the cubic through its values and
+// rates; then tangents exclude a dip.
 #pragma once
 
 #include <limits>
@@ -39,11 +41,11 @@ class GapPath {
 
   // As at, of the shapes of a pair along a direction that their base keeps.
   double along(int guard, double tau, const Vec3& direction);
-  // How much a distance along one direction may fall below its lower end, or come nearer to zero on the exact path than
-  // on this one, in a part of the step of this width.
-  double sag(int guard, double width) const;
-  // As sag in the whole step, of exact ends.
-  double sag_in_step(int guard) const;
+  // The least that a distance along one direction may be on the exact path between two places, `width` apart, where it
+  // is a and b on this one.
+  double least_between(int guard, double a, double b, double width) const;
+  // As this of the whole step, with exact ends; held: a persistent point over a halfspace touches at both.
+  double least_in_step(int guard, double start, double end, bool held) const;
   // As at_with_direction, where the bodies are placed, of the contact there.
   void look_along(int guard, const Contact& contact, Point& point);
   // Whether the guard's gap, positive at both ends of the step, stays so beyond doubt, from these ends alone.

@@ -52,8 +52,9 @@ int vertices_over(const Over& o, int f, bool wants_lowest, std::vector<int>& nea
   };
   const VertexTree& tree = o.other->tree;
   if (!tree.none()) {
-    const auto reaches = [&](const Vec3& center, double radius) {
-      return n.dot(center) + base - radius <= sink.limit && may_be_over(*o.plane, face, o.R * center + o.p, radius);
+    const auto reaches = [&](const VertexTree::Bound& bound) {
+      return base - bound.reach(-n) <= sink.limit &&
+             may_be_over(*o.plane, face, o.R * bound.center + o.p, bound.radius);
     };
     near.clear();
     tree.each(-n, reaches, [&](int i) {

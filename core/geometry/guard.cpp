@@ -170,6 +170,17 @@ void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) 
   unmark(guard);
 }
 
+bool Guards::is_held(int guard) {
+  place_pair(guard);
+  const std::vector<const ContactPoint*>& points = persistent_points_[persistent_number_[guard]];
+  return std::any_of(points.begin(), points.end(), [&](const ContactPoint* point) {
+    Contact contact;
+    if (point->kind == PointKind::kWitness || point->kind == PointKind::kLimit) return false;
+    manifolds_.evaluate(*point, placements_, contact);
+    return contact.gap <= promised(guard);
+  });
+}
+
 void Guards::list_joints(int guard, std::vector<int>& joints) const {
   joints.clear();
   if (guard >= pairs_) {

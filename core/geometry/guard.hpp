@@ -93,6 +93,8 @@ class Guards {
   // Sets the persistent contacts of a guard. The pointers must stay valid.
   void set_persistent(int guard, std::vector<const ContactPoint*> points);
   bool is_persistent(int guard) const { return persistent_number_[guard] >= 0; }
+  // Whether one of a pair's persistent points touches, where the bodies are placed.
+  bool is_held(int guard);
   // Whether feet may appear beside persistent ones, at any gap: motion does not bound such a gap.
   bool gap_may_jump(int guard) const {
     return manifolds_.any_feet() && is_persistent(guard) && guard < pairs_ && manifolds_.has_feet(guard);
@@ -142,8 +144,8 @@ class Guards {
   // d2/dtau2 of the distance between two points of the guard's bodies along any direction that their base keeps.
   void bound_bend(const VecX& bend, double h);
   double bend(int guard) const;
-  // As bend(), and as doubt(), of a pair whose points are as far along the direction as its persistent ones but for what
-  // they turn about these.
+  // As bend(), and as doubt(), of a pair of a halfspace with a persistent point that does not move along its normal:
+  // the others turn about that.
   double bend_about_points(int guard) const;
   double doubt_about_points(int guard) const;
   // Whether the gap is the least of such distances along one direction, of the same points whatever the motion: that of

@@ -6,9 +6,9 @@
 namespace contactvi {
 
 namespace {
-constexpr std::size_t kFew = 64;         // vertices up to which a look at all is quicker
-constexpr int kLeaf = 8;                 // vertices in one ball of the last
-constexpr double kBallRounding = 1e-12;  // of the size of a hull
+constexpr std::size_t kFew = 64;          // vertices up to which a look at all is quicker
+constexpr int kLeaf = 8;                  // vertices in one bound of the last
+constexpr double kBoundRounding = 1e-12;  // of the size of a hull
 }  // namespace
 
 VertexTree::VertexTree(const std::vector<Vec3>& vertices) {
@@ -18,7 +18,10 @@ VertexTree::VertexTree(const std::vector<Vec3>& vertices) {
   points_ = vertices;
   double size = 0.0;
   for (const Vec3& x : vertices) size = std::max(size, x.cwiseAbs().maxCoeff());
-  for (Node& node : nodes_) node.radius += kBallRounding * size;
+  for (Node& node : nodes_) {
+    node.bound.radius += kBoundRounding * size;
+    node.bound.half.array() += kBoundRounding * size;
+  }
 }
 
 // Adds the node of these numbers_ and those below it: halves along the longest side of their box.
@@ -28,8 +31,10 @@ void VertexTree::add(const std::vector<Vec3>& vertices, int first, int last) {
     low = low.cwiseMin(vertices[numbers_[k]]);
     high = high.cwiseMax(vertices[numbers_[k]]);
   }
-  Node node{0.5 * (low + high), 0.0, first, last, -1};
-  for (int k = first; k < last; ++k) node.radius = std::max(node.radius, (vertices[numbers_[k]] - node.center).norm());
+  Node node{{0.5 * (low + high), 0.5 * (high - low), 0.0}, first, last, -1};
+  Bound& bound = node.bound;
+  for (int k = first; k < last; ++k)
+    bound.radius = std::max(bound.radius, (vertices[numbers_[k]] - bound.center).norm());
   const std::size_t here = nodes_.size();
   nodes_.push_back(node);
   if (last - first <= kLeaf) return;
@@ -48,7 +53,7 @@ int VertexTree::farthest(const Vec3& m) const {
   int best = -1;
   double most = -std::numeric_limits<double>::infinity();
   each(
-      m, [&](const Vec3& center, double radius) { return m.dot(center) + radius >= most; },
+      m, [&](const Bound& bound) { return bound.reach(m) >= most; },
       [&](int i) {
         const double along = m.dot(points_[i]);
         if (along < most || (along == most && i > best)) return;

@@ -84,6 +84,34 @@ def test_spinning_rod_does_not_sweep_through_a_pin(angle, turns):
     assert traj.events[0].gamma_minus == pytest.approx(-turns * distance * math.cos(contact), rel=1e-11)
 
 
+@pytest.mark.parametrize("depth", [1e-5, 1e-6, 1e-9, -1e-9, -1e-6])
+@pytest.mark.parametrize("phase", [0.02, 0.05, 0.081])
+@pytest.mark.parametrize("ground", ["halfspace", "box"])
+def test_what_swings_through_its_lowest_place(depth, phase, ground):
+    """A body turns over the ground by 0.1 rad in a step, a box over a halfspace or a capsule over a box: the gap of its
+    lowest edge or end is positive at both ends of the step and dips to -depth between them."""
+    speed, h = 2.0, 0.05
+    if ground == "halfspace":
+        body, arm, radius, lowest = coal.Box(0.2, 0.2, 0.2), 0.1 * math.sqrt(2), 0.0, 0.25 * math.pi
+        placed = (pin.SE3.Identity(), halfspace(0.0, 0.0, 1.0, 0.0))
+    else:
+        body, arm, radius, lowest = coal.Capsule(0.02, 0.2), 0.1, 0.02, 0.0
+        placed = (pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.1])), coal.Box(1.0, 1.0, 0.2))
+    model, shapes = free_bodies([body], {"ground": placed})
+    q, v = pin.neutral(model), np.zeros(6)
+    q[2] = arm + radius - depth
+    q[3:7] = pin.Quaternion(pin.exp3(np.array([lowest - phase, 0.0, 0.0]))).coeffs()
+    v[3] = speed
+    traj = cvi.simulate(public_scene(model, shapes), q, v, h, h)
+    if depth < 0.0:
+        assert len(traj.events) == 0
+        return
+    # The height is q[2] - radius - arm cos(angle). It is located to 1e-12 m, and placed to as much again.
+    angle = math.acos(1.0 - depth / arm)
+    assert len(traj.events) >= 1
+    assert abs(traj.events[0].time - (phase - angle) / speed) <= 2e-12 / (speed * arm * math.sin(angle))
+
+
 @pytest.mark.slow
 def test_an_event_is_found_wherever_it_lies_in_the_step():
     """A spinning ball with an offset centre of mass, one wall, one step of any length: all places of the root."""

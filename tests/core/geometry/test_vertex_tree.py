@@ -1,4 +1,4 @@
-"""The farthest vertices of large hulls, found by a tree of balls, against a look at all; and what spares a distance."""
+"""The farthest vertices of large hulls, by a tree of bounds, against a look at all; and what spares a distance."""
 
 from __future__ import annotations
 
