@@ -502,8 +502,9 @@ bool Guards::is_along_one_direction(int guard) const {
 bool Guards::has_gap_along(int guard) const {
   if (guard >= pairs_ || is_persistent(guard)) return false;
   const Pair& pair = scene_->pairs[guard];
-  return is_along_one_direction(guard) ||
-         (!scene_->geometries[pair.a].unbounded && !scene_->geometries[pair.b].unbounded);
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  if (a.surface || b.surface) return false;  // it reaches beyond its points
+  return is_along_one_direction(guard) || (!a.unbounded && !b.unbounded);
 }
 
 double Guards::gap_along(int guard, const Vec3& direction) {
