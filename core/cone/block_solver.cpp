@@ -38,6 +38,7 @@ struct BlockSolver::Work {
   ConePoint point, best, safe;
   VecX free;
   bool prepared = false, analysed = false;
+  bool leads_on = false;  // whether the sweeps that are left lead on
   BlockOptions options;
   BlockResult result;
 
@@ -89,6 +90,7 @@ BlockFactor& BlockSolver::Work::pattern() {
 // The start, with impulses of the cones.
 void BlockSolver::Work::begin() {
   best.residual = std::numeric_limits<double>::infinity();
+  leads_on = false;
   result.stage = BlockResult::Stage::kSweeps;
   system.project(point);
   note();
@@ -118,6 +120,7 @@ bool BlockSolver::Work::sweeps(int most, bool all) {
     if (++result.sweeps % kBetweenChecks != 0) continue;
     system.update(point);
     note();
+    leads_on = sweeps_lead_on(last, options.sweeps);
     if (!all && !sweeps_lead_on(last, most)) break;
     last = point.residual;
   }
@@ -237,9 +240,9 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
   work.begin();
   // Of points with turning friction the cone is none of second order: the interior point method has no such pairs.
   const bool conic = work.system.turning_points().empty();
-  for (const int most : {std::min(kSweepsFirst, options.sweeps), options.sweeps}) {
-    if (work.sweeps(most) || work.polish()) break;
+  if (!work.sweeps(std::min(kSweepsFirst, options.sweeps)) && !work.polish() && work.leads_on) {
     work.point = work.best;
+    if (!work.sweeps(options.sweeps)) work.polish();
   }
   if (!accepted() && conic) work.interior_point();
   // Without that method Newton's starts again from ever more sweeps.

@@ -74,7 +74,7 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   }
   for (const ContactStepRecord::Contact& c : step.contacts)
     velocity_.open.push_back(!c.outcome.active || !(step.lambda_end[c.row] > 0.0));
-  bool limited = false;
+  const ContactStepRecord::Contact* limited = nullptr;
   for (const Friction& f : frictions_) {
     Mode mode = Mode::kStick;
     if (velocity_.open[f.contact]) {
@@ -86,11 +86,11 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
       if (follows) mode = Mode::kSlip;
       // What ended the step is at its limit there.
       const bool ends = step.ending == ContactStepEnd::kStick && ended_joint() < 0 && &ended_friction() == &f;
-      limited |= !follows && !ends;
+      if (!follows && !ends) limited = &step.contacts[f.contact];
     }
     velocity_.frictions.push_back(mode);
   }
-  if (limited) meet_limit_of_friction();
+  if (limited != nullptr) meet_limit_of_friction(limited->before.point.guard);
   check_laws();
   set_laws(velocity_, G_);
   check_shared(velocity_, MinvW_);
@@ -147,8 +147,8 @@ void ContactStepTangent::add_friction(std::size_t i) {
   }
 }
 
-void ContactStepTangent::meet_limit_of_friction() const {
-  meet("friction", -1, "A persistent contact changes between sticking and slipping",
+void ContactStepTangent::meet_limit_of_friction(int guard) const {
+  meet("friction", guard, "A persistent contact changes between sticking and slipping",
        "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
 }
 
@@ -197,8 +197,9 @@ void ContactStepTangent::take_contacts() {
     end_surfaces_[i].take(*scene_, guard, end_[i], c.t1_end, s.t + s.h);
     own_end_.segment(c.row + 1, count) = end_surfaces_[i].velocity();
   }
+  int at_limit = -1;  // the guard with the least margin; -1: a joint
   for (Friction& f : frictions_) {
-    const double normal = s.lambda[f.normal];
+    const double before = margin_, normal = s.lambda[f.normal];
     if (position_.open[f.contact]) {
       position_.frictions.push_back(Mode::kOpen);
       continue;
@@ -209,8 +210,9 @@ void ContactStepTangent::take_contacts() {
     if (f.slipped && !f.directed) margin_ = 0.0;
     position_.w.segment(f.rows.row, f.rows.count) = f.slip;
     margin_ = std::min(margin_, f.slipped ? f.slip.norm() / (speed + 1e-300) : (limit - friction) / largest);
+    if (margin_ < before) at_limit = s.contacts[f.contact].before.point.guard;
   }
-  if (margin_ < kOnCone) meet_limit_of_friction();
+  if (margin_ < kOnCone) meet_limit_of_friction(at_limit);
 }
 
 // Adhesion, half of it at each end.

@@ -117,7 +117,7 @@ class ContactStepTangent {
   }
   double follow_frozen_forces();
   void add_friction(std::size_t contact);
-  void meet_limit_of_friction() const;
+  void meet_limit_of_friction(int guard) const;  // -1: of a joint
   void take_contacts();
   void take_laws();
   void take_position_problem();

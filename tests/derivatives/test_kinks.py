@@ -103,7 +103,8 @@ def test_a_pushed_box_comes_to_rest_on_four_corners_at_once(order: int, e: float
     with pytest.raises(cvi.NotDifferentiable):
         run.sensitivity(["q0", "v0"])
     S = run.sensitivity(["q0", "v0"], on_kink="taken")
-    assert any(kink.reason in ("stick", "friction") for kink in S.report.kinks)
+    # Corners that rest without friction have no kink of their own; how they share the weight is one.
+    assert any(kink.reason in ("stick", "friction", "redundant") for kink in S.report.kinks if kink.time > 0.3)
     assert taken_transpose_error(run, S) < 1e-10
     # Where the ball starts across its way, and how fast it comes: both keep the branch. The corners share the weight,
     # and their shares change by those of least norm, the run's by others: the friction of corners that slide along
