@@ -17,9 +17,9 @@ namespace {
 constexpr double kDearer = 3.0;
 // A step to which nothing happens may cost more: what stays at rest with located events is not solved any more.
 constexpr double kQuietDearer = 5.0;
-// [us] of bursts besides, of up to so many points; those of a grasp reach 8e4 (test_hand_scene.py). Runs that choose
+// [us] of bursts besides, of up to so many points; those of a grasp reach 1.2e5 (test_hand_scene.py). Runs that choose
 // their steps for an accuracy may spend it once per stage, each of which has its own distances.
-constexpr double kBurst = 1e5, kFew = 4.0;
+constexpr double kBurst = 1.5e5, kFew = 4.0;
 constexpr double kCounted = 1e-3;  // [s] length of the dense steps that count, unless those of contact are shorter
 constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
