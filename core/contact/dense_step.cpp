@@ -19,7 +19,8 @@ constexpr int kGapIterations = 30, kFirstGapIterations = 3;
 constexpr double kGapStalled = 0.9;  // share of the error that an iteration after the first ones may leave
 constexpr int kLawRounds = 4;        // times that the whole law is solved again for loaded gaps that open
 constexpr double kLawStalled = 0.5;  // share of the widest such gap that a round may leave
-// Residual of the normal problem in a gap iteration: a share of the gaps that count as zero, over the step; or rounding.
+// Residual of the normal problem in a gap iteration: a share of the gaps that count as zero, over the step; at least
+// rounding.
 constexpr double kNormalsShare = 0.1, kNormalsRounding = 1e-12;
 constexpr int kAdditions = 16;             // times that points join the candidates of one step
 constexpr double kTouching = 1e-11;        // [m] a closed point without load takes part in the velocity impulse

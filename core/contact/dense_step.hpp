@@ -49,8 +49,8 @@ struct DenseStepCounters {
 
 class DenseStep {
  public:
-  // [m] To which gaps of loaded contacts are zero at the end of a step, and of one that begins at rest: a few times what
-  // the gaps are rounded by.
+  // [m] To which gaps of loaded contacts are zero at the end of a step, and of one that begins at rest: a few times
+  // what the gaps are rounded by.
   static constexpr double kGapSolved = 1e-11, kGapSolvedAtRest = 1e-15;
 
   // tol: of the equations of steps; those of contact are solved to what belongs to 1e-12, and closer where it is less.
