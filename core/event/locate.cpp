@@ -15,7 +15,7 @@ constexpr double kFlightHeight = 1e-16;  // [m; rad] a lower flight is rounding
 constexpr double kBeyond = 1.001;        // fraction of the step up to which an event at its end may seem to lie
 constexpr double kLeastPart = 1e-15;     // of the step: shorter parts are not cut further
 constexpr int kMaxCuts = 1000;           // of the step, in the search for where a touching guard separates
-constexpr int kMaxProbes = 80;           // exact partial steps to one event
+constexpr int kMaxProbes = 80;           // exact partial steps to one event, or along a guard that touches
 constexpr int kMaxDipProbes = 12;        // exact partial steps to one minimum
 }  // namespace
 
@@ -52,12 +52,14 @@ Search EventFinder::separate_touching(Suspect& s, Point a) {
   const double tolerance = Guards::kTouching;
   double width = gaps_.smooth_width(g);
   bool closes = false;
-  for (int k = 0; k < kMaxCuts; ++k) {
+  int probes = 0;
+  for (int k = 0; k < kMaxCuts && probes < kMaxProbes; ++k) {
     Point m = gaps_.at(g, std::min(1.0, a.tau + width));
     if (m.tau == 1.0) m.gap = s.end.gap;
     const double unsure = gaps_.doubt(g, m.tau);
-    if (m.gap < -kClosing && m.gap > -kClosing - unsure && !exact_at(g, m.tau, m))
-      return fail(Search::kNewtonFailed, g, 0);
+    const bool probe = m.gap < -kClosing && m.gap > -kClosing - unsure;
+    if (probe && !exact_at(g, m.tau, m)) return fail(Search::kNewtonFailed, g, 0);
+    probes += probe ? 1 : 0;
     if (!std::isfinite(m.gap)) return fail(Search::kUnresolved, g, m.gap);
     const double used = m.tau - a.tau, grown = m.gap - a.gap, expected = used * std::max(a.rate, 0.0);
     if (m.gap > (closes ? 0.0 : tolerance) && grown >= 0.25 * expected) {
