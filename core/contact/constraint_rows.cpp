@@ -63,7 +63,7 @@ void ContactStep::classify_joint_friction(double speed) {
     const int r = bilateral_ + k;
     const double s = y_[r] + G_.row(r) * change_;
     out = FrictionJointOutcome();
-    out.slipped = std::abs(lambda_[r]) >= cones_[k].box * (1.0 - 1e-9) && std::abs(s) > kStill * speed;
+    out.slipped = has_slipped(r, Eigen::Matrix<double, 1, 1>(s), cones_[k].box, speed);
     if (!out.slipped) continue;
     cones_[k].d[0] = s > 0.0 ? 1.0 : -1.0;
     out.turned = friction_joints_[k].speed * s < 0.0;

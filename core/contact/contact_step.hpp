@@ -243,6 +243,7 @@ class ContactStep final : public Stepper {
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
                   bool regularize, const Agreement& agreement);
   double contact_matrix(int row, int column) const;
+  bool has_slipped(int row, const Eigen::Ref<const VecX>& slip, double bound, double speed) const;
   bool roll_ends(std::size_t i) const;
   void classify_turning(std::size_t i, double speed);
   void set_turning_outcome(std::size_t i, double speed);

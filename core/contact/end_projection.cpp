@@ -54,8 +54,7 @@ bool ContactStep::velocity_impulses() {
     }
     const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
     const double limit = cones_[friction_rows_ + i].mu * lambda_[r];
-    const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
-    out.slipped = on_cone && s.norm() > kStill * speed;
+    out.slipped = has_slipped(r + 1, s, limit, speed);
     if (!out.slipped) continue;
     out.slip = s;
     cones_[friction_rows_ + i].d = s.normalized();
@@ -188,6 +187,14 @@ void ContactStep::note_kept_directions(bool first) {
     out.freed = out.slipped && !out.keeps;
     out.roll_freed = out.rolled && !out.roll_keeps;
   }
+}
+
+// Whether friction in these rows, with this bound, has slipped in the step: the piece of the natural map that holds
+// there. How near to its bound it is tells less, since a slip may be known much better than the friction against it.
+bool ContactStep::has_slipped(int row, const Eigen::Ref<const VecX>& slip, double bound, double speed) const {
+  const Eigen::Index rows = slip.size();
+  const double mobility = G_.diagonal().segment(row, rows).cwiseAbs().maxCoeff();
+  return slip.norm() > kStill * speed && (mobility * lambda_.segment(row, rows) - slip).norm() > mobility * bound;
 }
 
 void ContactStep::set_outcomes() {

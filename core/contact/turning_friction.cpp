@@ -7,10 +7,6 @@
 
 namespace contactvi {
 
-namespace {
-constexpr double kOnCone = 1e-9;  // of its bound: friction that is less below it does not hold
-}  // namespace
-
 // What contact i did in the step, from its position impulses: whether it slipped with the spin as a third component of
 // the slip, and whether it rolled. Its velocity impulses keep these directions.
 void ContactStep::classify_turning(std::size_t i, double speed) {
@@ -21,8 +17,7 @@ void ContactStep::classify_turning(std::size_t i, double speed) {
   const VecX s = y_.segment(r, rows) + G_.middleRows(r, rows) * change_;
   const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
   const auto moves = [&](int first, int size, double bound) {
-    return lambda_.segment(r + first, size).norm() >= bound * (1.0 - kOnCone) &&
-           s.segment(first, size).norm() > kStill * speed;
+    return has_slipped(r + first, s.segment(first, size), bound, speed);
   };
   out.turning_slip.setZero();
   out.slipped = moves(1, count, persistent.mu * lambda_[r]);

@@ -52,15 +52,12 @@ def test_the_derivatives_are_those_of_differences():
 
 
 def test_a_kink_in_the_way_is_told():
-    """A finger lets go as another one comes to stick: the time of that is no zero of a force.
-
-    Before it the last of a finger's many small impacts may be next to a change of what it does, which rounding decides.
-    """
+    """A finger lets go as another one comes to stick: the time of that is no zero of a force."""
     scene, q, v = grasp(0.0, 0.8)
     traj = cvi.simulate(scene, q, v, duration=0.1, record="gradient", **OPTIONS)
     for ask in (traj.sensitivity, lambda: cvi.gradient(traj, (np.ones(scene.nv), np.ones(scene.nv)), ["q0"])):
         with pytest.raises(cvi.NotDifferentiable) as found:
             ask()
-        assert found.value.reason in ("release", "friction")
+        assert found.value.reason == "release"
         assert "ball" in found.value.pair
         assert CLOSING < found.value.time < 0.082
