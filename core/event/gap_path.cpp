@@ -40,13 +40,6 @@ double below_chord(double a, double b, double bend) {
   return a - 0.25 * (half - rise) * (half - rise) / half;
 }
 
-// Whether the gap is that of a surface given by a function, which may rise and fall anywhere.
-bool has_function(const Scene& scene, int guard) {
-  if (!scene.is_pair(guard)) return false;
-  const Pair& pair = scene.pairs[guard];
-  return scene.geometries[pair.a].surface || scene.geometries[pair.b].surface;
-}
-
 }  // namespace
 
 GapPath::GapPath(Guards& guards)
@@ -133,12 +126,12 @@ double GapPath::least_in_step(int guard, double start, double end, bool held) co
 
 // Between the ends a convex gap lies above its tangents and a concave one above its chord. What turns it from the one
 // to the other is the rotation of the bodies, which changes its rate by less than the motion times the angle. Or its
-// ends add up to more than the motion, as in search().
+// ends add up to more than the motion, as in search(). A surface given by a function may rise and fall anywhere.
 bool GapPath::plainly_clear(int guard, const Point& start, double end_gap) {
   if (start.gap + end_gap > guards_->motion(guard) && !guards_->gap_may_jump(guard)) return true;
   const double turn = guards_->turn(guard);
   const double unsure = 2.0 * guards_->doubt(guard) + turn * guards_->motion(guard);
-  return turn <= kTurn && std::min(start.gap, end_gap) > unsure && !has_function(guards_->scene(), guard) &&
+  return turn <= kTurn && std::min(start.gap, end_gap) > unsure && !guards_->scene().has_surface(guard) &&
          lowest(start, at(guard, 1.0)) > unsure;
 }
 

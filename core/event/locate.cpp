@@ -20,16 +20,17 @@ constexpr int kMaxDipProbes = 12;        // exact partial steps to one minimum
 }  // namespace
 
 bool EventFinder::exact_at(int guard, double tau, Point& point) {
-  if (tau == 0.0) {  // the minimum of a gap may lie at the start, to which no step leads
-    event_.q = *q0_;
-    event_.p = *p0_;
-  } else if (!stepper_->solve_part(*path_, tau, *q0_, *p0_, *tau_)) {
-    // Where the path gives no good start values solve() tries others. Those of the steps taken must not be among them:
-    // their polynomial ends where the whole step began.
-    stepper_->forget();
-    if (!stepper_->solve(*q0_, *p0_, tau * h_, *tau_)) return false;
+  event_.q = *q0_;
+  event_.p = *p0_;
+  if (tau > 0.0) {  // the minimum of a gap may lie at the start, to which no step leads
+    if (!stepper_->solve_part(*path_, tau, *q0_, *p0_, *tau_)) {
+      // Where the path gives no good start values solve() tries others. Those of the steps taken must not be among
+      // them: their polynomial ends where the whole step began.
+      stepper_->forget();
+      if (!stepper_->solve(*q0_, *p0_, tau * h_, *tau_)) return false;
+    }
+    stepper_->finish(event_.q, event_.p);
   }
-  if (tau > 0.0) stepper_->finish(event_.q, event_.p);
   guards_->place(event_.q);
   point = {tau, guards_->evaluate(guard, contact_), 0.0};
   guards_->gradient(guard, contact_, W_);

@@ -128,7 +128,7 @@ bool ContactTangent::take_witness(int guard) {
   const Placements& at = twists_.placements();
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   const Pose pose[2] = {pose_of(a.body, at), pose_of(b.body, at)};
-  if (a.surface || b.surface) return refuse("the nearest vertex over a surface given by a function is not known");
+  if (scene_->has_surface(guard)) return refuse("the nearest vertex over a surface given by a function is not known");
   // Over a halfspace the nearest point is known in closed form.
   const bool exact = a.unbounded || b.unbounded ||
                      refine_nearest(shape_features_of(a, pair.rounded), pose[0], shape_features_of(b, pair.rounded),

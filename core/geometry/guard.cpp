@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 
 #include "geometry/box.hpp"
 #include "model/step_costs.hpp"
@@ -20,7 +19,6 @@ constexpr double kFarApart = 1e-3;
 // Reference steps: where the bound on the distance of one pair ends a span sooner, the exact distance is found. That
 // costs about as much as a step that looks at guards.
 constexpr double kShortSpan = 8.0;
-constexpr double kMotionRounding = 1e-14;  // of the motion in the world: what its parts are added up to
 }  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
@@ -33,45 +31,18 @@ Guards::Guards(const Scene& scene, int contact_points)
       q_(VecX::Zero(scene.tree.nq)),
       placed_for_(scene.tree.joints.size(), -1),
       distance_bounds_(scene.pairs.size()),
-      linear_(scene.tree.joints.size()),
-      own_arm_(scene.tree.joints.size()),
-      arm_(scene.tree.joints.size()),
+      bounds_(scene),
+      motion_(bounds_.none()),
+      doubt_(motion_),
+      bend_(motion_),
+      expected_(motion_),
+      odometer_(bounds_.entries()),
+      interval_start_(bounds_.entries()),
       gap_(count_),
       gap_for_(count_, -1),
       marks_(count_, -1.0),
       broad_phase_(scene),
-      span_(scene.tree.nv) {
-  find_ways();
-  odometer_.resize(scene.geometries.size() + ways_.size());
-  interval_start_.resize(odometer_.size());
-  for (Reach* reach : {&motion_, &doubt_, &bend_, &expected_}) {
-    reach->geometry.resize(odometer_.size());
-    reach->limit.resize(scene.tree.limits.size());
-    reach->turn.resize(scene.tree.joints.size());
-  }
-}
-
-// What moves both bodies of a pair does not change its distance: its motion counts in the frame of the last body that
-// both hang on.
-void Guards::find_ways() {
-  const int count = static_cast<int>(scene_->geometries.size());
-  std::map<std::pair<int, int>, int> known;
-  const auto way = [&](int geometry, int base) {
-    if (base < 0) return geometry;
-    const auto [at, is_new] = known.emplace(std::pair(geometry, base), count + static_cast<int>(ways_.size()));
-    if (is_new) ways_.push_back({geometry, base});
-    return at->second;
-  };
-  for (const Pair& pair : scene_->pairs) {
-    int a = scene_->geometries[pair.a].body, b = scene_->geometries[pair.b].body;
-    while (a != b) {
-      int& later = a > b ? a : b;  // a parent has a lower number
-      later = scene_->tree.joints[later].parent;
-    }
-    pair_ways_.emplace_back(way(pair.a, a), way(pair.b, a));
-    bases_.push_back(a);
-  }
-}
+      span_(scene.tree.nv) {}
 
 void Guards::place(const VecCRef& q) {
   if ((q.array() == q_.array()).all()) return;
@@ -392,144 +363,63 @@ double Guards::depth_tolerance(int guard) const {
 void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
   span_ended_ = span_.any();
   end_span();
-  bound_arms(q, bound, h, 1.0);
-  propagate_reach(bound, h, motion_);
+  bounds_.bound_arms(q, bound, h, 1.0);
+  bounds_.propagate(bound, h, motion_);
 }
 
-void Guards::bound_doubt(const VecX& doubt, double h) { propagate_reach(doubt, h, doubt_); }
+void Guards::bound_doubt(const VecX& doubt, double h) { bounds_.propagate(doubt, h, doubt_); }
 
-void Guards::bound_bend(const VecX& bend, double h) { propagate_reach(bend, h, bend_); }
+void Guards::bound_bend(const VecX& bend, double h) { bounds_.propagate(bend, h, bend_); }
 
-// The joints that prismatic ones and the like lengthen, over so many steps like this one.
-void Guards::bound_arms(const VecCRef& q, const VecX& bound, double h, double steps) {
-  const Tree& tree = scene_->tree;
-  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
-    const Joint& joint = tree.joints[i];
-    double& arm = own_arm_[i];
-    arm = joint.p_PJ.norm();
-    if (joint.type == JointType::kPrismatic) arm += std::abs(q[joint.iq]) + steps * h * bound[joint.iv];
-    if (joint.type == JointType::kHelical)
-      arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + steps * h * bound[joint.iv]);
-    if (joint.type == JointType::kTranslation)
-      arm += q.segment<3>(joint.iq).norm() + steps * h * bound.segment<3>(joint.iv).norm();
-  }
-}
+double Guards::motion(int guard) const { return bounds_.of(motion_, guard); }
 
-// Over one step, within the arms bounded before.
-void Guards::propagate_reach(const VecX& bound, double h, Reach& reach) {
-  const Tree& tree = scene_->tree;
-  for (std::size_t k = 0; k < tree.limits.size(); ++k) reach.limit[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
-  if (scene_->geometries.empty()) return;
-  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
-    const Joint& joint = tree.joints[i];
-    double angular = 0, linear = 0, arm = own_arm_[i];
-    const double path = h * bound[joint.iv];
-    switch (joint.type) {
-      case JointType::kRevolute:
-      case JointType::kContinuous:
-      case JointType::kSpherical:
-        angular = path;
-        break;
-      case JointType::kPrismatic:
-        linear = path;
-        break;
-      case JointType::kHelical:
-        angular = path;
-        linear = std::abs(joint.pitch) * path;
-        break;
-      case JointType::kTranslation:
-        linear = h * bound.segment<3>(joint.iv).norm();
-        break;
-    }
-    if (joint.parent >= 0) {
-      linear += linear_[joint.parent] + reach.turn[joint.parent] * arm;
-      angular += reach.turn[joint.parent];
-      arm += arm_[joint.parent];
-    }
-    reach.turn[i] = angular;
-    linear_[i] = linear;
-    arm_[i] = arm;
-  }
-  const std::size_t count = scene_->geometries.size();
-  for (std::size_t g = 0; g < count; ++g) {
-    const Geometry& geometry = scene_->geometries[g];
-    const int body = geometry.body;
-    reach.geometry[g] = body < 0 ? 0.0 : linear_[body] + reach.turn[body] * geometry.reach;
-  }
-  // Without the turns of what moves the base: they have moved the body by themselves times the arms beyond it.
-  for (std::size_t k = 0; k < ways_.size(); ++k) {
-    const Geometry& geometry = scene_->geometries[ways_[k].geometry];
-    const int body = geometry.body, base = ways_[k].base;
-    const double linear = linear_[body] - linear_[base] - reach.turn[base] * (arm_[body] - arm_[base]);
-    reach.geometry[count + k] = std::max(0.0, linear) + (reach.turn[body] - reach.turn[base]) * geometry.reach +
-                                (body == base ? 0.0 : kMotionRounding * reach.geometry[ways_[k].geometry]);
-  }
-}
-
-double Guards::reach_of(const Reach& reach, int guard) const {
-  if (guard >= pairs_) return reach.limit[guard - pairs_];
-  return both(reach.geometry, guard);
-}
-
-double Guards::motion(int guard) const { return reach_of(motion_, guard); }
-
-double Guards::doubt(int guard) const { return reach_of(doubt_, guard); }
+double Guards::doubt(int guard) const { return bounds_.of(doubt_, guard); }
 
 // A second derivative has the accelerations of the joints, which add up as velocities do, and for each two joints the
 // product of their rates and the arm of the later one, twice: together no more than the turn times the motion.
-double Guards::bend(int guard) const { return reach_of(bend_, guard) + 2.0 * turn(guard) * motion(guard); }
+double Guards::bend(int guard) const { return bounds_.of(bend_, guard) + 2.0 * turn(guard) * motion(guard); }
 
 // The arms are those between two points of a shape, which is bounded.
 double Guards::bend_about_points(int guard) const {
-  return longest_arm(guard) * (turn_of(bend_, guard) + 2.0 * turn(guard) * turn(guard));
+  return bounds_.longest_arm(guard) * (bounds_.turn_of(bend_, guard) + 2.0 * turn(guard) * turn(guard));
 }
 
-double Guards::doubt_about_points(int guard) const { return longest_arm(guard) * turn_of(doubt_, guard); }
-
-double Guards::longest_arm(int guard) const {
-  const Pair& pair = scene_->pairs[guard];
-  return 2.0 * (scene_->geometries[pair.a].unbounded ? scene_->geometries[pair.b] : scene_->geometries[pair.a]).radius;
+double Guards::doubt_about_points(int guard) const {
+  return bounds_.longest_arm(guard) * bounds_.turn_of(doubt_, guard);
 }
 
 bool Guards::is_along_one_direction(int guard) const {
   if (guard >= pairs_) return true;
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b], &half = a.unbounded ? a : b;
-  if (!half.unbounded || half.surface || half.body != bases_[guard]) return false;
+  if (!half.unbounded || half.surface || half.body != bounds_.base(guard)) return false;
   return !is_persistent(guard) || !manifolds_.has_rims(guard);
 }
 
 bool Guards::has_gap_along(int guard) const {
   if (guard >= pairs_ || is_persistent(guard)) return false;
+  if (scene_->has_surface(guard)) return false;  // it reaches beyond its points
   const Pair& pair = scene_->pairs[guard];
-  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
-  if (a.surface || b.surface) return false;  // it reaches beyond its points
-  return is_along_one_direction(guard) || (!a.unbounded && !b.unbounded);
+  return is_along_one_direction(guard) ||
+         (!scene_->geometries[pair.a].unbounded && !scene_->geometries[pair.b].unbounded);
 }
 
 double Guards::gap_along(int guard, const Vec3& direction) {
   place_pair(guard);
-  const int base = bases_[guard];
+  const int base = bounds_.base(guard);
   return manifolds_.gap_along(guard, placements_, base < 0 ? direction : Vec3(placements_.R_W[base] * direction));
 }
 
 Vec3 Guards::direction(int guard, const Contact& contact) const {
-  const int base = bases_[guard];
+  const int base = bounds_.base(guard);
   return base < 0 ? contact.normal : Vec3(placements_.R_W[base].transpose() * contact.normal);
 }
 
-double Guards::turn(int guard) const { return turn_of(motion_, guard); }
-
-double Guards::turn_of(const Reach& reach, int guard) const {
-  if (guard >= pairs_) return 0.0;
-  const Pair& pair = scene_->pairs[guard];
-  const auto turn = [&reach](int body) { return body < 0 ? 0.0 : reach.turn[body]; };
-  return turn(scene_->geometries[pair.a].body) + turn(scene_->geometries[pair.b].body) - 2.0 * turn(bases_[guard]);
-}
+double Guards::turn(int guard) const { return bounds_.turn_of(motion_, guard); }
 
 bool Guards::skip(int guard) const {
   if (guard >= pairs_) return false;  // a joint limit costs one subtraction
-  return both(odometer_, guard) + 2.0 * motion(guard) < marks_[guard];
+  return bounds_.both(odometer_, guard) + 2.0 * motion(guard) < marks_[guard];
 }
 
 bool Guards::separated_at_end(int guard) {
@@ -543,7 +433,7 @@ bool Guards::separated_at_end(int guard) {
 // Where bodies are placed at the start of the step.
 bool Guards::stays_apart(int guard) {
   if (guard >= pairs_) return limit_gap(guard, q_) > motion(guard);
-  const double moved = both(odometer_, guard);
+  const double moved = bounds_.both(odometer_, guard);
   if (moved + motion(guard) < marks_[guard]) return true;
   const double bound = cheap_bound(guard);
   if (!(bound > motion(guard))) return false;
@@ -575,7 +465,7 @@ void Guards::mark(int guard, double gap_at_end) {
   // Against a halfspace all of them are looked at.
   const bool all = scene_->geometries[pair.a].unbounded || scene_->geometries[pair.b].unbounded;
   if (is_persistent(guard) && (!all || gap_may_jump(guard))) return;
-  marks_[guard] = both(odometer_, guard) + motion(guard) + reliable(guard, gap_at_end);
+  marks_[guard] = bounds_.both(odometer_, guard) + motion(guard) + reliable(guard, gap_at_end);
 }
 
 // Before an odometer changes, or what a span expects.
@@ -598,8 +488,8 @@ void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
   keep_start();
   ++spans_;
   const VecX& path = span_.set_reference(bound, h);
-  bound_arms(q1, path, 1.0, ClearSpan::kLongest);
-  propagate_reach(path, 1.0, expected_);
+  bounds_.bound_arms(q1, path, 1.0, ClearSpan::kLongest);
+  bounds_.propagate(path, 1.0, expected_);
   double allowed = ClearSpan::kLongest;
   const auto limit = [&allowed](double room, double motion) {
     if (!(room >= allowed * motion)) allowed = room / motion;
@@ -637,7 +527,8 @@ double Guards::span_of_pairs(double enough) {
 }
 
 double Guards::span_of(const BroadPhase::NearPair& pair) const {
-  const double room = marks_[pair.guard] - both(odometer_, pair.guard), motion = both(expected_.geometry, pair.guard);
+  const double room = marks_[pair.guard] - bounds_.both(odometer_, pair.guard),
+               motion = bounds_.both(expected_.geometry, pair.guard);
   return room >= ClearSpan::kLongest * motion ? ClearSpan::kLongest : room / motion;
 }
 
@@ -645,8 +536,8 @@ double Guards::span_of(const BroadPhase::NearPair& pair) const {
 // from its last evaluation, or the distance. False: there is none.
 bool Guards::refine(const BroadPhase::NearPair& pair) {
   if (is_persistent(pair.guard)) return false;
-  const double odometers = both(odometer_, pair.guard), before = marks_[pair.guard],
-               motion = both(expected_.geometry, pair.guard);
+  const double odometers = bounds_.both(odometer_, pair.guard), before = marks_[pair.guard],
+               motion = bounds_.both(expected_.geometry, pair.guard);
   const double distance = distance_bound(pair.guard, kShortSpan * motion);
   if (!(odometers + distance > before)) return false;
   marks_[pair.guard] = odometers + distance;

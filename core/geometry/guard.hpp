@@ -25,6 +25,7 @@
 #include "geometry/distance.hpp"
 #include "geometry/distance_bounds.hpp"
 #include "geometry/manifold.hpp"
+#include "geometry/motion_bounds.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -231,21 +232,6 @@ class Guards {
   GuardCounters counters;
 
  private:
-  // How far everything can move in a step: per geometry any of its points, in the world and then along ways_, per joint
-  // limit, per body its rotation.
-  struct Reach {
-    std::vector<double> geometry, limit, turn;
-  };
-  void bound_arms(const VecCRef& q, const VecX& bound, double h, double steps);
-  void propagate_reach(const VecX& bound, double h, Reach& reach);
-  double reach_of(const Reach& reach, int guard) const;
-  double turn_of(const Reach& reach, int guard) const;
-  double longest_arm(int guard) const;
-  // Of the two shapes of a pair together, of quantities per geometry as in Reach.
-  double both(const std::vector<double>& values, int guard) const {
-    return values[pair_ways_[guard].first] + values[pair_ways_[guard].second];
-  }
-  void find_ways();
   double used_before(int interval) const { return interval > 0 ? span_.used_after(interval) : span_.used(); }
   void place_body(int body);
   void place_pair(int guard);
@@ -276,25 +262,17 @@ class Guards {
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
   DistanceBounds distance_bounds_;
-  std::vector<double> linear_;   // per body: bound on its origin's displacement
-  std::vector<double> own_arm_;  // per body: bound on the distance of its origin from its parent's
-  std::vector<double> arm_;      // per body: the lengths of its chain from the world
-  struct Way {
-    int geometry, base;  // in the frame of this body
-  };
-  std::vector<Way> ways_;                       // of pairs of one tree
-  std::vector<std::pair<int, int>> pair_ways_;  // of each pair: where the motions of its shapes are in Reach::geometry
-  std::vector<int> bases_;                      // of each pair: the last body that moves both shapes, -1: none
-  Reach motion_, doubt_, bend_, expected_;      // expected: in a reference step of the span
-  std::vector<double> odometer_;                // per geometry and way, as in Reach
-  std::vector<double> interval_start_;          // as it was where the interval began, kept where it is about to change
-  double interval_used_ = 0.0;                  // of the span, where the interval began
-  bool any_look_ = false;                       // whether a step of the interval looked at guards
-  long spans_ = 0;                              // how many spans have begun
-  static constexpr double kNoises = 4.0;        // tolerances of depth
-  std::vector<double> gap_;                     // of each guard at its last evaluation,
-  std::vector<long> gap_for_;                   // and the configuration of that
-  std::vector<double> marks_;                   // per guard: odometer sum up to which it may be skipped
+  MotionBounds bounds_;
+  MotionBounds::Reach motion_, doubt_, bend_, expected_;  // expected: in a reference step of the span
+  std::vector<double> odometer_;                          // as MotionBounds::Reach::geometry
+  std::vector<double> interval_start_;    // as it was where the interval began, kept where it is about to change
+  double interval_used_ = 0.0;            // of the span, where the interval began
+  bool any_look_ = false;                 // whether a step of the interval looked at guards
+  long spans_ = 0;                        // how many spans have begun
+  static constexpr double kNoises = 4.0;  // tolerances of depth
+  std::vector<double> gap_;               // of each guard at its last evaluation,
+  std::vector<long> gap_for_;             // and the configuration of that
+  std::vector<double> marks_;             // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
   bool span_ended_ = false;  // whether the step whose motion is bounded follows one of a span

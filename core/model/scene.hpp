@@ -76,6 +76,10 @@ struct Scene {
 
   int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }
   bool is_pair(int guard) const { return guard < static_cast<int>(pairs.size()); }
+  // Whether a shape of a pair has a surface that is given by a function.
+  bool has_surface(int guard) const {
+    return is_pair(guard) && (geometries[pairs[guard].a].surface || geometries[pairs[guard].b].surface);
+  }
   // What a guard has beyond two coefficients, null: nothing.
   const ContactLaw* law(int guard) const {
     return is_pair(guard) && pairs[guard].law >= 0 ? &laws[pairs[guard].law] : nullptr;

@@ -155,8 +155,7 @@ IslandGraph::Apart IslandGraph::clearance(const Neighbour& n, int g, double reac
 IslandGraph::Apart IslandGraph::exact_distance(const Neighbour& n, int g) {
   Contact contact;
   const double distance = guards_->evaluate_witness(n.guard, contact);
-  const bool convex = !scene_->geometries[g].surface && !scene_->geometries[n.geometry].surface;
-  if (!convex || !(distance > 0.0)) return {distance, Vec3::Zero()};
+  if (scene_->has_surface(n.guard) || !(distance > 0.0)) return {distance, Vec3::Zero()};
   return {distance, scene_->pairs[n.guard].a == g ? contact.normal : Vec3(-contact.normal)};
 }
 
