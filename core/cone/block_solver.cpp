@@ -38,7 +38,7 @@ struct BlockSolver::Work {
   ConePoint point, best, safe;
   VecX free;
   bool prepared = false, analysed = false;
-  bool leads_on = false;  // whether the sweeps that are left lead on
+  double rate = 1.0;  // of the residual between the last two checks of the sweeps, at most 1
   BlockOptions options;
   BlockResult result;
 
@@ -47,7 +47,7 @@ struct BlockSolver::Work {
   void begin();
   void note();
   bool sweeps(int most, bool all = false);
-  bool sweeps_lead_on(double last, int most) const;
+  bool sweeps_lead_on(int most) const;
   bool polish();
   void clear_open();
   void interior_point();
@@ -90,7 +90,7 @@ BlockFactor& BlockSolver::Work::pattern() {
 // The start, with impulses of the cones.
 void BlockSolver::Work::begin() {
   best.residual = std::numeric_limits<double>::infinity();
-  leads_on = false;
+  rate = 1.0;
   result.stage = BlockResult::Stage::kSweeps;
   system.project(point);
   note();
@@ -102,12 +102,11 @@ void BlockSolver::Work::note() {
   if (point.residual < best.residual) best = point;
 }
 
-// Whether the sweeps that are left of `most` reach the tolerance, or what is accepted, at the rate since the residual
-// was `last`.
-bool BlockSolver::Work::sweeps_lead_on(double last, int most) const {
+// Whether the sweeps that are left of `most` reach the tolerance, or what is accepted, at the last rate.
+bool BlockSolver::Work::sweeps_lead_on(int most) const {
   const double goal = point.residual > options.accept ? options.accept : options.tolerance;
   const double checks = static_cast<double>(most - result.sweeps) / kBetweenChecks;
-  return point.residual * std::pow(std::min(1.0, point.residual / last), checks) <= goal;
+  return point.residual * std::pow(rate, checks) <= goal;
 }
 
 // Stage A, from `point`: as long as they lead on, or all that are left of `most`. True at the tolerance.
@@ -120,8 +119,8 @@ bool BlockSolver::Work::sweeps(int most, bool all) {
     if (++result.sweeps % kBetweenChecks != 0) continue;
     system.update(point);
     note();
-    leads_on = sweeps_lead_on(last, options.sweeps);
-    if (!all && !sweeps_lead_on(last, most)) break;
+    rate = std::min(1.0, point.residual / last);
+    if (!all && !sweeps_lead_on(most)) break;
     last = point.residual;
   }
   if (best.residual < before) result.stage = BlockResult::Stage::kSweeps;
@@ -240,7 +239,7 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
   work.begin();
   // Of points with turning friction the cone is none of second order: the interior point method has no such pairs.
   const bool conic = work.system.turning_points().empty();
-  if (!work.sweeps(std::min(kSweepsFirst, options.sweeps)) && !work.polish() && work.leads_on) {
+  if (!work.sweeps(std::min(kSweepsFirst, options.sweeps)) && !work.polish() && work.sweeps_lead_on(options.sweeps)) {
     work.point = work.best;
     if (!work.sweeps(options.sweeps)) work.polish();
   }
