@@ -1102,6 +1102,11 @@ def none_deeper(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(N
     Whether a pair is seen to be no deeper than the points of these features without its distance, and by how much its distance is larger than their least gap.
     """
 
+def rest_behind(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], per_distance: float, slack: float) -> tuple[float, bool, float]:
+    """
+    (sine of the angle at which the edges of these features cross, 1 for vertices on a face, 0 for others; whether the rest of both shapes lies behind them by more than so much of its distance less a slack [m]; the gap of the pair if it is theirs, else NaN).
+    """
+
 def far_vertices(vertices: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]], directions: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], depth: float) -> list[tuple[int, list[int]]]:
     """
     Of many vertices, (n, 3): per unit direction, (k, 3), the farthest one, the first of several, and those that miss it by at most a depth [m]. Empty for few vertices.

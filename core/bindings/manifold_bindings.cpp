@@ -19,6 +19,7 @@
 #include "geometry/distance_bounds.hpp"
 #include "geometry/guard.hpp"
 #include "geometry/manifold.hpp"
+#include "geometry/other_features.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -129,6 +130,23 @@ std::pair<bool, double> none_deeper(const Scene& s, const VecX& q, int pair, con
   }
   const bool known = touch.manifolds.none_deeper(pair, touch.at, persistent.data(), static_cast<int>(points.size()));
   return {known, touch.witness.gap - least};
+}
+
+std::tuple<double, bool, double> rest_behind(const Scene& s, const VecX& q, int pair,
+                                             const std::vector<std::int64_t>& features, double per_distance,
+                                             double slack) {
+  ManifoldTouch touch(s, q, pair, 4);
+  const std::vector<ContactPoint> points = points_of(touch, pair, features);
+  std::vector<const ContactPoint*> persistent;
+  for (const ContactPoint& p : points) persistent.push_back(&p);
+  const int count = static_cast<int>(points.size());
+  const double crossing = touch.manifolds.crossing_of(pair, touch.at, persistent.data(), count);
+  Contact c{};
+  const bool nearest = touch.manifolds.nearest_of_points(pair, touch.at, persistent.data(), count, c);
+  return {
+      crossing,
+      crossing > 0.0 && touch.manifolds.others_behind(pair, touch.at, persistent.data(), count, {per_distance, slack}),
+      nearest ? c.gap : std::numeric_limits<double>::quiet_NaN()};
 }
 
 // Per direction, (k, 3), the farthest vertex, and the vertices that miss it by at most the depth.
@@ -265,6 +283,11 @@ void expose_manifold(nb::module_& m) {
       "none_deeper", &none_deeper, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
       "Whether a pair is seen to be no deeper than the points of these features without its distance, and by how much "
       "its distance is larger than their least gap.");
+  m.def(
+      "rest_behind", &rest_behind, "scene"_a, "q"_a, "pair"_a, "features"_a, "per_distance"_a, "slack"_a,
+      "(sine of the angle at which the edges of these features cross, 1 for vertices on a face, 0 for others; whether "
+      "the rest of both shapes lies behind them by more than so much of its distance less a slack [m]; the gap of the "
+      "pair if it is theirs, else NaN).");
   m.def("far_vertices", &far_vertices, "vertices"_a, "directions"_a, "depth"_a,
         "Of many vertices, (n, 3): per unit direction, (k, 3), the farthest one, the first of several, and those that "
         "miss it by at most a depth [m]. Empty for few vertices.");

@@ -215,6 +215,10 @@ bool EventFinder::plainly_clear() {
 // then.
 bool EventFinder::stays_open(Suspect& s) {
   if (memory_.touching[s.guard] || s.from.tau > 0.0) return s.from.tau == 1.0;
+  if (gaps_.others_stay_open(s.guard)) {
+    s.from.tau = 1.0;
+    return true;
+  }
   if (!(s.end.along > 0.0)) return false;
   const bool along = guards_->has_gap_along(s.guard);
   if (!along) look_at_start(s);
@@ -286,6 +290,7 @@ bool EventFinder::collect(int g) {
     ++guards_->counters.skipped;
     return true;
   }
+  if (!memory_.touching[g] && guards_->others_stay_behind(g)) return true;
   const double gap = guards_->evaluate(g, contact_);
   if (!std::isfinite(gap)) {
     fail(Search::kUnresolved, g, gap);

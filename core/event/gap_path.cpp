@@ -124,6 +124,22 @@ double GapPath::least_in_step(int guard, double start, double end, bool held) co
                              guards_->doubt_about_points(guard) - 2.0 * guards_->promised(guard));
 }
 
+bool GapPath::others_stay_open(int guard) {
+  guards_->list_joints(guard, joints_);
+  const auto place = [&](double tau) {
+    path_->configuration(tau, joints_, q_);
+    guards_->place(q_);
+  };
+  place(1.0);
+  // The sine changes by no more than the bodies turn.
+  const double crossing = guards_->crossing_of_points(guard) - guards_->turn(guard);
+  if (!(crossing > 0.0)) return false;
+  const double dip = guards_->dip_of_others(guard, crossing);
+  if (!guards_->others_behind(guard, dip)) return false;
+  place(0.0);
+  return guards_->others_behind(guard, dip);
+}
+
 // Between the ends a convex gap lies above its tangents and a concave one above its chord. What turns it from the one
 // to the other is the rotation of the bodies, which changes its rate by less than the motion times the angle. Or its
 // ends add up to more than the motion, as in search(). A surface given by a function may rise and fall anywhere.

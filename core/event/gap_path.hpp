@@ -46,6 +46,8 @@ class GapPath {
   double least_between(int guard, double a, double b, double width) const;
   // As this of the whole step, with exact ends; held: a persistent point over a halfspace touches at both.
   double least_in_step(int guard, double start, double end, bool held) const;
+  // Whether all features but the persistent points of a guard stay open in the step.
+  bool others_stay_open(int guard);
   // As at_with_direction, where the bodies are placed, of the contact there.
   void look_along(int guard, const Contact& contact, Point& point);
   // Whether the guard's gap, positive at both ends of the step, stays so beyond doubt, from these ends alone.

@@ -4,11 +4,13 @@
 #include <cmath>
 
 #include "geometry/box.hpp"
+#include "geometry/other_features.hpp"
 #include "model/step_costs.hpp"
 
 namespace contactvi {
 
 namespace {
+constexpr double kBehind = 0.1 * Guards::kPromised;  // [m] in front of what touches: that is kept to what is promised
 constexpr double kAcross = 1e-9;  // sine of the angle from which on an axis has a direction in a tangent plane
 // [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
 // coal's distances (2e-8).
@@ -246,6 +248,14 @@ double Guards::gap(int guard) {
   return evaluate_witness(guard, contact);
 }
 
+bool Guards::is_apart(int guard) {
+  if (is_persistent(guard) || gap_for_[guard] == configuration_) return false;
+  const Pair& pair = scene_->pairs[guard];
+  if (!has_bounds(scene_->geometries[pair.a], scene_->geometries[pair.b])) return false;
+  place_pair(guard);
+  return known_bounds(guard).lower >= 0.0;
+}
+
 double Guards::evaluate_witness(int guard, Contact& contact) {
   gap_[guard] = find_nearest(guard, contact);
   gap_for_[guard] = configuration_;
@@ -270,15 +280,18 @@ double Guards::find_nearest(int guard, Contact& contact) {
   place_pair(guard);
   counters.cost += costs::near_distance();
   if (has_closed_form(guard) && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
+  // Of persistent points, too: what the fitted costs of steps hold, which decide when dense ones are taken.
   counters.cost += a.is_ball || b.is_ball ? costs::near_distance() : costs::distance();
-  const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
-  ++counters.distances;
-  distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
-  contact.body_a = a.body;
-  contact.body_b = b.body;
-  if (pair.refined || (!a.is_ball && !b.is_ball && contact.gap < kFarApart))
-    manifolds_.refine(guard, placements_, contact);
-  if (has_bounds(a, b)) distance_bounds_.keep(guard, shape_a, shape_b, contact);
+  if (!nearest_of_points(guard, contact)) {
+    const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
+    ++counters.distances;
+    distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
+    contact.body_a = a.body;
+    contact.body_b = b.body;
+    if (pair.refined || (!a.is_ball && !b.is_ball && contact.gap < kFarApart))
+      manifolds_.refine(guard, placements_, contact);
+    if (has_bounds(a, b)) distance_bounds_.keep(guard, shape_a, shape_b, contact);
+  }
   const Seams& seams = manifolds_.seams();
   if (contact.gap < Seams::kNear && seams.any(guard)) contact.gap += seams.slack(guard, placements_, contact);
   return contact.gap;
@@ -388,6 +401,16 @@ double Guards::doubt_about_points(int guard) const {
   return bounds_.longest_arm(guard) * bounds_.turn_of(doubt_, guard);
 }
 
+// In the frame of its shape the normal turns about an edge as the other edge does in the view along it, where that has
+// the length of the sine s. With the turn w of the bodies, which adds 2 w^2 to what the joints bend it by, it turns by
+// no more than w/s, and the second derivative of that is no more than (bend + 2 w^2)/s + 2 (w/s)^2; that of the normal
+// has the square of its turn besides. A distance bends below its chord by an eighth of its second derivative.
+double Guards::dip_of_others(int guard, double crossing) const {
+  const double turned = turn(guard) / crossing;
+  const double bend = bounds_.turn_of(bend_, guard) / crossing + 5.0 * turned * turned;
+  return 0.125 * bend + bounds_.turn_of(doubt_, guard) / crossing;
+}
+
 bool Guards::is_along_one_direction(int guard) const {
   if (guard >= pairs_) return true;
   const Pair& pair = scene_->pairs[guard];
@@ -413,6 +436,27 @@ double Guards::gap_along(int guard, const Vec3& direction) {
 Vec3 Guards::direction(int guard, const Contact& contact) const {
   const int base = bounds_.base(guard);
   return base < 0 ? contact.normal : Vec3(placements_.R_W[base].transpose() * contact.normal);
+}
+
+double Guards::crossing_of_points(int guard) {
+  if (guard >= pairs_ || !is_persistent(guard)) return 0.0;
+  place_pair(guard);
+  const std::vector<const ContactPoint*>& points = persistent_points_[persistent_number_[guard]];
+  return manifolds_.crossing_of(guard, placements_, points.data(), static_cast<int>(points.size()));
+}
+
+// Of a pair whose bodies are placed.
+bool Guards::nearest_of_points(int guard, Contact& contact) const {
+  if (!is_persistent(guard)) return false;
+  const std::vector<const ContactPoint*>& points = persistent_points_[persistent_number_[guard]];
+  return manifolds_.nearest_of_points(guard, placements_, points.data(), static_cast<int>(points.size()), contact);
+}
+
+bool Guards::others_behind(int guard, double per_distance) {
+  place_pair(guard);
+  const std::vector<const ContactPoint*>& points = persistent_points_[persistent_number_[guard]];
+  const Behind by{per_distance, kBehind};
+  return manifolds_.others_behind(guard, placements_, points.data(), static_cast<int>(points.size()), by);
 }
 
 double Guards::turn(int guard) const { return bounds_.turn_of(motion_, guard); }

@@ -68,6 +68,8 @@ class Guards {
   double evaluate_witness(int guard, Contact& contact);
   // The same where only the gap is wanted; it is known if the pair was evaluated last where the bodies are placed.
   double gap(int guard);
+  // Whether a bound on the distance of a pair shows that it does not overlap, where the bodies are placed.
+  bool is_apart(int guard);
   // What gaps of pairs are kept to at every node [m], where the noise of their distances is less.
   static constexpr double kPromised = 1e-9;
   double promised(int guard) const { return std::max(kPromised, kNoises * depth_tolerance(guard)); }
@@ -158,6 +160,17 @@ class Guards {
   // placed: a lower bound on the gap. And the direction of a contact there.
   double gap_along(int guard, const Vec3& direction);
   Vec3 direction(int guard, const Contact& contact) const;
+  // Whether the rest of the shapes stays behind the persistent points of a pair, where the bodies are placed
+  // (other_features.hpp). dip_of_others(): how far it may come in front of where it is at both ends of the step, per
+  // metre of distance, where the sine of the crossing is at least so much.
+  double crossing_of_points(int guard);
+  bool others_behind(int guard, double per_distance);
+  double dip_of_others(int guard, double crossing) const;
+  // Whether the motion of the step alone shows that it does, where the bodies are placed at its end.
+  bool others_stay_behind(int guard) {
+    const double crossing = crossing_of_points(guard) - turn(guard);
+    return crossing > 0.0 && others_behind(guard, turn(guard) / crossing);
+  }
   // True if the odometers say that the gap stays open in the step and is larger than the step's motion at its end. A
   // guard whose gap is not is a suspect, so that suspects do not depend on when guards were last evaluated.
   bool skip(int guard) const;
@@ -237,6 +250,7 @@ class Guards {
   void place_pair(int guard);
   void place_bodies();
   double find_nearest(int guard, Contact& contact);
+  bool nearest_of_points(int guard, Contact& contact) const;
   // Whether the nearest features of a pair are known without coal.
   bool has_closed_form(int guard) const;
   PosedShape posed(const Pair& pair, int geometry) const;

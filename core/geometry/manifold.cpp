@@ -9,6 +9,7 @@
 #include "base/refusal.hpp"
 #include "geometry/line_contact.hpp"
 #include "geometry/nearest_features.hpp"
+#include "geometry/other_features.hpp"
 #include "geometry/solid_pair.hpp"
 #include "geometry/surface_frame.hpp"
 
@@ -33,6 +34,8 @@ constexpr double kBelow = 1.1;
 // [m] By which the distance of a pair may be less than that of its features although no other feature is nearer. Held
 // by the gaps of tests/batteries/test_contact_battery.py.
 constexpr double kWitnessNoise = 6e-11;
+// [m] Features that are in front of others by less make no other distance.
+constexpr double kSameDistance = 1e-13;
 // Of the noise: such a distance counts from here on.
 constexpr double kDeeper = 0.5;
 // Features that touch because others do keep the gap that they have: it would jump to and fro.
@@ -504,6 +507,30 @@ bool Manifolds::none_deeper(int pair, const Placements& at, const ContactPoint* 
   Contact contact;
   evaluate(*persistent[0], at, contact);
   return gap_along(pair, at, contact.normal) - least >= -kDeeper * noise(pair);
+}
+
+double Manifolds::crossing_of(int pair, const Placements& at, const ContactPoint* const* persistent, int count) const {
+  if (is_single(pair) || surface_of(pair) != nullptr) return 0.0;
+  return contactvi::crossing_of(view(pair, at), persistent, count);
+}
+
+bool Manifolds::others_behind(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                              const Behind& by) const {
+  return contactvi::others_behind(view(pair, at), persistent, count, by);
+}
+
+bool Manifolds::nearest_of_points(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                                  Contact& contact) const {
+  const Behind by{0.0, kSameDistance};
+  if (crossing_of(pair, at, persistent, count) == 0.0 || !others_behind(pair, at, persistent, count, by)) return false;
+  contact.gap = kInfinity;
+  for (int k = 0; k < count; ++k) {
+    Contact own;
+    evaluate(*persistent[k], at, own);
+    if (!valid(*persistent[k], at)) return false;
+    if (own.gap < contact.gap) contact = own;
+  }
+  return true;
 }
 
 // Where coal's distance is deeper than the persistent points, a feature has closed that the faces do not list: coal's

@@ -96,6 +96,7 @@ inline bool same_point(const ContactPoint& a, const ContactPoint& b) {
 void set_contact(const ContactPoint& p, const Vec3& n, const Vec3& lowest, double gap, Contact& contact);
 
 class SolidPair;
+struct Behind;
 
 class Manifolds {
  public:
@@ -171,6 +172,14 @@ class Manifolds {
   // Whether the pair is no deeper than its persistent points, seen without its distance: from how far its shapes are
   // from each other along the normal of one of these.
   bool none_deeper(int pair, const Placements& at, const ContactPoint* const* persistent, int count) const;
+
+  // Whether the rest of the shapes stays behind the persistent points (other_features.hpp).
+  double crossing_of(int pair, const Placements& at, const ContactPoint* const* persistent, int count) const;
+  bool others_behind(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                     const Behind& by) const;
+  // The contact of the pair if it is that of a persistent point for it. False: that is not known.
+  bool nearest_of_points(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                         Contact& contact) const;
 
   // Whether both shapes are capsules or cylinders, whose axes are lines; whether both are capsules.
   bool has_lines(int pair) const;

@@ -128,7 +128,8 @@ int Simulator::deepest_pair(const VecX& q, double& gap) {
   guards_.place(q);
   int deepest = -1;
   const auto look_at = [&](int guard) {
-    if (!scene_->is_pair(guard) || guards_.gap(guard) >= std::min(gap, -guards_.promised(guard))) return;
+    if (!scene_->is_pair(guard) || guards_.is_apart(guard)) return;
+    if (guards_.gap(guard) >= std::min(gap, -guards_.promised(guard))) return;
     deepest = guard;
     gap = guards_.gap(guard);
   };

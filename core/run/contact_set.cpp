@@ -40,9 +40,13 @@ ContactSet::ContactSet(const Scene& scene, RunState& run, Integrator& integrator
       sequence_(&sequence),
       v_(scene.tree.nv) {}
 
-void ContactSet::update_persistent_guards() {
+void ContactSet::forget_persistent_guards() {
   for (int g : persistent_guards_) guards_->set_persistent(g, {});
   persistent_guards_.clear();
+}
+
+void ContactSet::update_persistent_guards() {
+  forget_persistent_guards();
   for (const PersistentContact& persistent : step_->contacts()) {
     const int g = persistent.point.guard;
     if (std::find(persistent_guards_.begin(), persistent_guards_.end(), g) != persistent_guards_.end()) continue;

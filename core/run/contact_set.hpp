@@ -44,6 +44,8 @@ class ContactSet {
   void leave(std::size_t i, const VecX& v, double time, Recording& recording);
   // Tells the guards which of their points are persistent contacts, after a change of the set.
   void update_persistent_guards();
+  // Dense steps hold no points: the guards have none in them.
+  void forget_persistent_guards();
   const std::vector<int>& guards_with_contacts() const { return persistent_guards_; }
 
  private:

@@ -135,6 +135,7 @@ void Simulator::end_dense_phase() {
 // One dense step, of the length of steps with persistent contacts where it can be solved and keeps its promises.
 bool Simulator::advance_dense(Interval& interval, Recording& recording) {
   const double at = interval.start + interval.done, nominal = contact_dt();
+  contacts_.forget_persistent_guards();
   dense_step_.set_time(at);
   dense_step_.set_nominal(nominal);
   // A rest that is rounding is taken along: gaps of rounding, closed in its time, would be speeds of metres per second.
