@@ -150,9 +150,12 @@ class _Frames:
             moment=self.moment, force_scale=self.force_scale,
         )  # fmt: skip
         size = self.width, self.height
+        picture = None
         for data in pictures(page, len(times)):
-            picture = Image.frombytes("RGBA", size, data)
-            yield picture if self.shown["transparent"] else picture.convert("RGB")
+            if data or picture is None:  # nothing is sent where it is the one before
+                drawn = Image.frombytes("RGBA", size, data)
+                picture = drawn if self.shown["transparent"] else drawn.convert("RGB")
+            yield picture
 
 
 def _kind(file: Path, at: float | None) -> str:
@@ -202,7 +205,14 @@ def _write_gif(out: IO[bytes], frames: _Frames, times: np.ndarray, fps: float) -
     chosen = {row: next(drawn) for row in rows}
     palette = _sheet([frame.reduce(2) for frame in chosen.values()]).quantize(_COLORS, kmeans=1)
     shown = (chosen.pop(row) if row in chosen else next(drawn) for row in range(len(times)))
-    first, *later = (picture.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE) for picture in shown)
+    before, quantized = None, []
+    for picture in shown:
+        same = picture is before  # then Pillow shows the one before for longer
+        quantized.append(
+            quantized[-1] if same else picture.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE)
+        )
+        before = picture
+    first, *later = quantized
     ends = np.rint(np.arange(len(times) + 1) * 100.0 / fps).astype(int)  # [1/100 s]
     durations = np.maximum(10 * np.diff(ends), 20)  # shorter ones are shown slowly by most browsers
     durations[-1] += 600  # [ms] before it begins again

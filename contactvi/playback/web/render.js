@@ -1,4 +1,5 @@
-// Draw the pictures of `job` one after the other and post them. Runs before the page, to hear of its errors.
+// Draw the pictures of `job` one after the other and post them: nothing for one in which nothing has moved since the one
+// before. Runs before the page, to hear of its errors.
 
 const failed = error => fetch("failed", {method: "POST", body: String(error)});
 window.addEventListener("error", event => failed(event.message));
@@ -9,7 +10,8 @@ async function draw() {
   Object.assign(stage.pane.style, {width: job.width + "px", height: job.height + "px"});
   stage.renderer.domElement.style.visibility = "hidden";  // so that the browser does not draw it, too
   stage.renderer.setPixelRatio(job.ratio);
-  if (job.times.length > 1) {  // of a film: a processor without graphics draws soft shadows for half of the time
+  const film = job.times.length > 1;
+  if (film) {  // a processor without graphics draws soft shadows for half of the time
     stage.renderer.shadowMap.type = THREE.BasicShadowMap;
     stage.sun.shadow.mapSize.set(1024, 1024);
     stage.sun.shadow.dispose();
@@ -26,33 +28,83 @@ async function draw() {
   let sent = Promise.resolve();  // a picture is drawn while the one before is on its way
   for (const time of job.times) {
     player.seek(time);
-    stage.render();
-    const pixels = finished(stage.renderer.domElement);
+    const changed = !film || differs(appearance());
+    if (changed) { stage.render(); }
+    const pixels = changed ? finished() : "";
     await sent;
     sent = fetch("frame", {method: "POST", body: pixels});
   }
   await sent;
 }
 
+// Whether the picture is not the one that was drawn last: something in it has moved by a fiftieth of a pixel.
+let drawnLast = {numbers: [], colors: []};
+function differs(now) {
+  const least = 0.02 / pixelsPerMetre(), near = (x, k) => Math.abs(x - drawnLast.numbers[k]) < least;
+  const same = now.numbers.length === drawnLast.numbers.length && now.numbers.every(near) &&
+    now.colors.join() === drawnLast.colors.join();
+  if (!same) { drawnLast = now; }
+  return !same;
+}
+
+// What a picture depends on: places and lengths [m], of three points of each body and of the camera, of lines and signs,
+// and the colours of signs.
+function appearance() {
+  const numbers = [], point = new THREE.Vector3(), reach = stage.view.radius;
+  for (const {position, quaternion} of [stage.camera, ...stage.bodies]) {
+    numbers.push(...position.toArray());
+    for (const axis of [0, 2]) {
+      numbers.push(...point.set(0, 0, 0).setComponent(axis, reach).applyQuaternion(quaternion).toArray());
+    }
+  }
+  for (const {ends} of stage.lines) { numbers.push(...ends.flatMap(end => end.toArray())); }
+  const arrows = [...signs.forces.places, ...signs.impacts.places];
+  for (const [place, direction, length] of arrows) {
+    numbers.push(...place.toArray(), ...point.copy(direction).multiplyScalar(length).toArray());
+  }
+  return {numbers: [...numbers, ...signs.dots.places], colors: [...arrows.map(arrow => arrow[3]), ...signs.dots.colors]};
+}
+
+// Pixels of a metre at the target.
+function pixelsPerMetre() { return job.height / (2 * orbit.distance * Math.tan(stage.camera.fov * Math.PI / 360)); }
+
 // The pixels of the picture at its own size, four bytes each, with what is written on it.
 const canvas = document.createElement("canvas");
-function finished(drawn) {
-  Object.assign(canvas, {width: job.width, height: job.height});
+function finished() {
+  const {width, height} = job;
+  if (canvas.width !== width || canvas.height !== height) { Object.assign(canvas, {width, height}); }
   const pen = canvas.getContext("2d", {willReadFrequently: true});
-  pen.imageSmoothingQuality = "high";
-  pen.drawImage(drawn, 0, 0, job.width, job.height);
+  if (job.ratio === 1) {
+    pen.putImageData(drawnPixels(width, height), 0, 0);
+  } else {
+    pen.clearRect(0, 0, width, height);
+    pen.imageSmoothingQuality = "high";
+    pen.drawImage(stage.renderer.domElement, 0, 0, width, height);
+  }
   if (job.labels) {
     const numbers = job.forces && job.times.length === 1 ? placedNumbers() : [];
     labels.drawInto(pen, [...numbers.filter(box => box), ...numbers.length ? signs.boxes() : []]);
     drawNumbers(pen, numbers);
   }
   if (job.forces) { drawScales(pen); }
-  return pen.getImageData(0, 0, job.width, job.height).data;
+  return pen.getImageData(0, 0, width, height).data;
+}
+
+// What the stage has drawn, the upper row first: reading it takes a third of the time that drawing it into a canvas takes.
+let rows = null;
+function drawnPixels(width, height) {
+  rows = rows || [new Uint8Array(4 * width * height), new ImageData(width, height)];
+  const [upwards, picture] = rows, gl = stage.renderer.getContext(), size = 4 * width;
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upwards);
+  for (let row = 0; row < height; ++row) {
+    picture.data.set(upwards.subarray(size * (height - 1 - row), size * (height - row)), size * row);
+  }
+  return picture;
 }
 
 // Scales of forces, and of impulses where there are some: arrows of round numbers, as long as they are at the target.
 function drawScales(pen) {
-  const {source, scale} = signs, perMetre = job.height / (2 * orbit.distance * Math.tan(stage.camera.fov * Math.PI / 360));
+  const {source, scale} = signs, perMetre = pixelsPerMetre();
   let left = 14;
   if (source.fullForce !== null && signs.shown.forces) {
     const given = source.forceScale ? ` (${Number(source.forceScale.toPrecision(6))} N/m)` : "";

@@ -271,7 +271,7 @@ function capsule(radius, half) {
 // Surfaces turn darker where they are seen at a grazing angle: white is seen on white, and black has a shape.
 function withOutline(shader) {
   shader.fragmentShader = shader.fragmentShader.replace("#include <tonemapping_fragment>",
-    `float facing = abs(dot(normalize(normal), normalize(vViewPosition)));
+    `float facing = abs(dot(normal, geometry.viewDir));
      float rim = 1.0 - smoothstep(0.0, 0.5, facing);
      float tone = dot(gl_FragColor.rgb, vec3(0.3, 0.6, 0.1));
      gl_FragColor.rgb = mix(gl_FragColor.rgb, gl_FragColor.rgb * (tone > 0.12 ? 0.35 : 1.9), 0.8 * rim * rim);
