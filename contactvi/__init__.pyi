@@ -66,6 +66,7 @@ from .status import Status as Status
 from .status import StatusCode as StatusCode
 from .trajectory.plots import plot as plot
 from .trajectory.plots import plot_forces as plot_forces
+from .trajectory.plots import plot_reactions as plot_reactions
 from .trajectory.plots import plot_states as plot_states
 from .trajectory.polynomials import State as State
 from .trajectory.poses import Poses as Poses

@@ -106,6 +106,8 @@ RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
     "plot": (lambda t: cvi.plot(3), "traj"),
     "plot_forces": (lambda t: cvi.plot_forces(3), "traj"),
     "plot_forces by": (lambda t: cvi.plot_forces(t, by=np.eye(2)), "by"),
+    "plot_reactions": (lambda t: cvi.plot_reactions(3), "traj"),
+    "plot_reactions of": (lambda t: cvi.plot_reactions(t, [np.eye(2)]), "constraints"),
     "plot_states": (lambda t: cvi.plot_states(3), "traj"),
     "poses": (lambda t: t.poses(np.eye(2)), "body"),
     "poses of a number": (lambda t: t.poses(3), "body"),

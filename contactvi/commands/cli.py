@@ -28,7 +28,7 @@ from contactvi.commands.console import (
 )
 from contactvi.commands.export import export
 from contactvi.commands.live import live_options, run_live
-from contactvi.commands.output import ENERGY, FORCES, PAGE, RUN, Phases, own_folder, print_summary, write_files
+from contactvi.commands.output import PAGE, PLOTS, RUN, Phases, own_folder, print_summary, write_files
 from contactvi.commands.pictures import CameraOption, camera_value, play, plot_run, render
 from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
 from contactvi.interrupts import held_back
@@ -169,7 +169,8 @@ def run(
     plot: Annotated[
         bool,
         typer.Option(
-            "--plot/--no-plot", help="Draw what contactvi plot draws at once: energy.png, and forces.png of contact."
+            "--plot/--no-plot",
+            help="Draw what contactvi plot draws at once: energy.png, forces.png of contact, reactions.png of constraints.",
         ),
     ] = False,
     base: Base = None,
@@ -220,7 +221,7 @@ def run(
         scene.core()
     folder = output if output is not None else Path(title)
     # Before the run: a long one must not fail when its files are written.
-    make_folder(folder, (RUN, PAGE, ENERGY, FORCES), force or own_folder(folder, scene))
+    make_folder(folder, (RUN, PAGE, *PLOTS), force or own_folder(folder, scene))
     with held_back() as ctrl_c:  # what was computed is written
         try:
             with RunProgress(settings.span, err) as bar, warnings.catch_warnings():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,8 @@ from contactvi.commands.console import err, out
 from contactvi.tables import name_table, print_table
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from contactvi.scene.scene import Scene
     from contactvi.trajectory.trajectory import Trajectory
 
@@ -39,7 +41,8 @@ class Phases:
         return ", ".join(f"{name} {seconds:.2g} s" for name, seconds in self.seconds.items())
 
 
-RUN, PAGE, ENERGY, FORCES = "trajectory.npz", "playback.html", "energy.png", "forces.png"
+RUN, PAGE = "trajectory.npz", "playback.html"
+PLOTS = ENERGY, FORCES, REACTIONS = "energy.png", "forces.png", "reactions.png"
 
 
 def own_folder(folder: Path, scene: Scene) -> bool:
@@ -68,17 +71,20 @@ def write_files(
 
 
 def draw_plots(traj: Trajectory, folder: Path, kind: str, overwrite: bool, **style: Any) -> list[Path]:
-    """Draw the energy of a run, and its contact forces if it has some, as files of this kind; return their paths.
+    """Draw the energy of a run, and contact forces and reactions of constraints if it has some; return the paths.
 
     Args:
+        kind: png or svg.
         style: dpi and transparent of `save_figure`.
     """
     from contactvi.files import check_free
-    from contactvi.trajectory.plots import plot, plot_forces, save_figure
+    from contactvi.trajectory.plots import plot, plot_forces, plot_reactions, save_figure
 
-    drawn = {(folder / ENERGY).with_suffix(f".{kind}"): plot}
+    drawn: dict[Path, Callable[[Trajectory], Figure]] = {(folder / ENERGY).with_suffix(f".{kind}"): plot}
     if np.any(traj.contacts.h > 0.0):
         drawn[(folder / FORCES).with_suffix(f".{kind}")] = plot_forces
+    if traj.constraints:
+        drawn[(folder / REACTIONS).with_suffix(f".{kind}")] = plot_reactions
     for name in drawn:
         check_free(name, overwrite)
     return [save_figure(figure(traj), name, overwrite=True, **style) for name, figure in drawn.items()]

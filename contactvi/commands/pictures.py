@@ -67,7 +67,7 @@ def plot_run(
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the plots.")] = True,
     force: Force = False,
 ) -> None:
-    """Draw the energy of a run and its contact forces, as energy.png and forces.png, and open them."""
+    """Draw energy, contact forces and reactions of constraints: energy.png, forces.png, reactions.png; open them."""
     from contactvi.inputs import check_choice
     from contactvi.trajectory.trajectory import Trajectory
 

@@ -22,9 +22,9 @@ _FLAGS = (
     "--disable-component-update", "--disable-sync", "--disable-extensions", "--disable-background-timer-throttling",
     "--disable-renderer-backgrounding",
 )  # fmt: skip
-# WebGL is needed, and a machine that makes documents may have no graphics card. Chromium's own software rendering is
-# there everywhere. On Linux EGL is asked first: without a graphics card it is Mesa's llvmpipe, which takes less than half
-# of the time; where there is no EGL, Chromium takes its own.
+# WebGL is needed, and a machine that makes documents may have no graphics card. Chromium has a software renderer of its
+# own. On Linux EGL is asked first: without a graphics card that is llvmpipe of Mesa, which takes less than half of the
+# time; where there is no EGL, Chromium takes its own.
 _DRAWING = (
     ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist", "--enable-unsafe-swiftshader")
     if sys.platform.startswith("linux")

@@ -205,7 +205,8 @@ def _write_gif(out: IO[bytes], frames: _Frames, times: np.ndarray, fps: float) -
     chosen = {row: next(drawn) for row in rows}
     palette = _sheet([frame.reduce(2) for frame in chosen.values()]).quantize(_COLORS, kmeans=1)
     shown = (chosen.pop(row) if row in chosen else next(drawn) for row in range(len(times)))
-    before, quantized = None, []
+    before: Image.Image | None = None
+    quantized: list[Image.Image] = []
     for picture in shown:
         same = picture is before  # then Pillow shows the one before for longer
         quantized.append(

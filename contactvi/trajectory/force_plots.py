@@ -18,8 +18,11 @@ from contactvi.trajectory.plot_layout import (
     RunFigure,
     draw_curve,
     draw_curves,
+    largest_force,
     legend,
     panels,
+    scale_forces,
+    write_in_middle,
     zero_line,
 )
 from contactvi.trajectory.tables import friction_ratio
@@ -31,10 +34,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _CHANGE = {"begin": "#55585c", "stick": "#2b8cc4", "slip": "#c77ca3", "release": "#8c8f94"}
 _MOST = 6  # pairs or bodies drawn
-# Where the largest force is so many times the median of those that count, the scale is logarithmic: on a linear one
-# half of the curve would lie within a line's width of its axis. Forces count down to a part of the largest, the scale's
-# end.
-_PEAK, _LEAST = 100.0, 1e-4
 
 
 class Steps(NamedTuple):
@@ -92,7 +91,7 @@ def _joint_figure(traj: Trajectory, window: tuple[float, float], size: tuple[flo
         axis.set_ylabel(f"{what} of servo and input [{unit}]\n(+ towards larger coordinates)")
         zero_line(axis, always=True)
     if not units:
-        axes[0].text(0.5, 0.5, "no joint is driven", transform=axes[0].transAxes, ha="center", va="center", color="0.5")
+        write_in_middle(axes[0], "no joint is driven")
     return figure
 
 
@@ -119,14 +118,13 @@ def _draw_pairs(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> None
             continue  # nothing that a legend could name
         axes[2].plot(middle, ratio[rows][known], ls="", marker=".", ms=1.5, color=color, label=name, rasterized=True)
     if len(drawn) and not np.any(np.isfinite(ratio)):
-        axes[2].text(
-            0.5, 0.5, "no cone of one coefficient: no friction,\nor it is a function of the slip, or adhesion",
-            transform=axes[2].transAxes, ha="center", va="center", color="0.5",
-        )  # fmt: skip
+        write_in_middle(
+            axes[2], "no cone of one coefficient: no friction,\nor it is a function of the slip, or adhesion"
+        )
     else:
         axes[2].axhline(1.0, color="black", lw=0.8, ls="--", label="on the cone: it slides" if len(drawn) else None)
     for axis, values in zip(axes, drawn_values, strict=False):
-        _scale(axis, values, _largest(values), signed=False)
+        scale_forces(axis, values, largest_force(values), signed=False)
     axes[2].set_ylim(-0.03, 1.1 if not np.any(ratio > 1.07) else None)
     axes[0].set_ylabel("normal force [N]")
     axes[1].set_ylabel("friction force [N]")
@@ -148,37 +146,12 @@ def _draw_bodies(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> Non
     for k, (body, force) in enumerate(zip(order, forces, strict=False)):
         for axis, values in zip(axes, force.T, strict=True):
             draw_curve(axis, *_broken(sums[body], values), body, color=FIRST_COLORS[k], lw=1.1)
-    largest = _largest([force.ravel() for force in forces])
+    largest = largest_force([force.ravel() for force in forces])
     for k, (axis, name) in enumerate(zip(axes, "xyz", strict=True)):
         axis.set_ylabel(f"force on the body [N]\n(+ along {name})")
         zero_line(axis, always=True)
-        _scale(axis, [force[:, k] for force in forces], largest, signed=True)
+        scale_forces(axis, [force[:, k] for force in forces], largest, signed=True)
         legend(axis, _chosen(min(_MOST, len(order)), len(order), "bodies"))
-
-
-def _scale(axis: Axes, values: Sequence[Array], largest: float, signed: bool) -> None:
-    """Let the axis of forces have zero, or be logarithmic where peaks hide the rest; forces may have a sign.
-
-    Args:
-        largest: of all panels that are compared [N]: beside it rounding is to look like nothing.
-    """
-    force = np.concatenate([np.zeros(1), *values])
-    size = np.abs(force)[np.abs(force) > _LEAST * largest]
-    if not largest:
-        axis.text(0.5, 0.5, "no contact lasted", transform=axis.transAxes, ha="center", va="center", color="0.5")
-        return
-    peaks = len(size) > 0 and float(size.max()) > _PEAK * float(np.median(size))
-    if peaks and signed:
-        axis.set_yscale("symlog", linthresh=10.0 ** np.floor(np.log10(np.median(size))))
-    elif peaks:
-        axis.set_yscale("log")
-        axis.set_ylim(_LEAST * largest, 2.0 * largest)
-    else:
-        axis.set_ylim(float(force.min()) - 0.05 * largest * signed, float(force.max()) + 0.05 * largest)
-
-
-def _largest(forces: Sequence[Array]) -> float:
-    return max((float(np.abs(force).max(initial=0.0)) for force in forces), default=0.0)
 
 
 def _body_sides(traj: Trajectory) -> dict[str, Array]:

@@ -38,9 +38,13 @@ _MOST_INSTANTS = int(_COVERED * 72 * (_WIDTH - _LEFT - _RIGHT) / _LINE)
 _BINS = 300  # of a strip or band, 1.5 points wide
 _MOST_SWINGS = _BINS / 4  # from its least to its greatest value, of a curve that is drawn as a line
 _SEEN = 1e-6  # part of its size by which a curve has to change for that to be seen
-_MOST_NAMED = 10  # curves that a legend names; more get a scale of colours
+MOST_NAMED = 10  # curves that a legend names; more get a scale of colours
 _MOST_TICKS = 20  # names beside such a scale
 _LONGEST = 36  # letters of a line of a legend
+# Where the largest force is so many times the median of those that count, the scale is logarithmic: on a linear one
+# half of the curve would lie within a line's width of its axis. Forces count down to a part of the largest, the scale's
+# end.
+_PEAK, _LEAST = 100.0, 1e-4
 
 FIRST_COLORS = tuple(TABLEAU_COLORS.values())
 
@@ -182,9 +186,44 @@ def zero_line(axis: Axes, always: bool = False) -> None:
         axis.axhline(0.0, color="black", lw=0.8, zorder=1)
 
 
+def scale_forces(
+    axis: Axes, values: Sequence[Array], largest: float, *, signed: bool, none: str = "no contact lasted"
+) -> None:
+    """Let the axis of forces have zero, or be logarithmic where peaks hide the rest.
+
+    Args:
+        largest: of all panels that are compared [N]: beside it rounding is to look like nothing.
+        signed: whether forces may have a sign.
+        none: what is written where there is no force.
+    """
+    force = np.concatenate([np.zeros(1), *values])
+    size = np.abs(force)[np.abs(force) > _LEAST * largest]
+    if not largest:
+        write_in_middle(axis, none)
+        return
+    peaks = len(size) > 0 and float(size.max()) > _PEAK * float(np.median(size))
+    if peaks and signed:
+        axis.set_yscale("symlog", linthresh=10.0 ** np.floor(np.log10(np.median(size))))
+    elif peaks:
+        axis.set_yscale("log")
+        axis.set_ylim(_LEAST * largest, 2.0 * largest)
+    else:
+        axis.set_ylim(float(force.min()) - 0.05 * largest * signed, float(force.max()) + 0.05 * largest)
+
+
+def write_in_middle(axis: Axes, text: str) -> None:
+    """Write what is to be said instead of curves."""
+    axis.text(0.5, 0.5, text, transform=axis.transAxes, ha="center", va="center", color="0.5")
+
+
+def largest_force(forces: Sequence[Array]) -> float:
+    """Return the largest amount, 0 without any."""
+    return max((float(np.abs(force).max(initial=0.0)) for force in forces), default=0.0)
+
+
 def draw_curves(axis: Axes, t: Array, curves: Sequence[tuple[str, Array]], title: str = "") -> None:
     """Draw several curves with a legend, or a scale of colours with their names where they are many."""
-    if len(curves) <= _MOST_NAMED:
+    if len(curves) <= MOST_NAMED:
         for k, (name, y) in enumerate(curves):
             draw_curve(axis, t, y, name, color=FIRST_COLORS[k % len(FIRST_COLORS)], lw=1.1)
         legend(axis, title)

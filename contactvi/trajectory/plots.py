@@ -1,4 +1,4 @@
-"""Plots of a run over time: energy and gaps, states, and the forces of persistent contacts."""
+"""Plots of a run over time: energy and gaps, states, the forces of persistent contacts, reactions of constraints."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from matplotlib.figure import Figure
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
 from contactvi.importing.joint_kinds import joint_kind
-from contactvi.inputs import check_choice, flag, listed, positive, real, short, vector
+from contactvi.inputs import check_choice, flag, listed, positive, real, short, vector, words
 from contactvi.records.codes import GuardKind
 from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory.angles import turned_angles
 from contactvi.trajectory.force_plots import force_figure, span_of
 from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, legend, panels, zero_line
+from contactvi.trajectory.reaction_plots import reaction_figure
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -148,6 +149,36 @@ def plot_forces(
     return force_figure(traj, by, _window(traj, window), _size(size), _pairs(traj, pairs))
 
 
+def plot_reactions(
+    traj: Trajectory,
+    constraints: Sequence[str] | None = None,
+    *,
+    size: Sequence[float] | None = None,
+    window: Sequence[float] | None = None,
+) -> Figure:
+    """Return a figure of the reactions of the constraints of a run: what keeps loops closed and drives motions.
+
+    Loops, joints that follow others, driven lengths, and the forces of motors that follow a motion. They are those of
+    `Trajectory.reactions`, with its signs and axes: means over the time between two nodes, in whose middle they are
+    drawn, impacts included, a panel for forces [N] and one for torques [N m]. A constraint has one colour in both; x is
+    solid, y dashed and z dotted. More than ten curves in a panel get a scale of colours.
+
+    Args:
+        constraints: names of those that are drawn (`traj.constraints`); None: all.
+        size, window: as of `plot`.
+
+    The figure is one as that of `plot`. A run without constraints has an empty panel.
+
+    Raises:
+        InputError: a bad argument; an unknown name.
+    """
+    _check(traj)
+    names = None
+    if constraints is not None:
+        names = [words("constraints", name) for name in listed("constraints", constraints, "names of constraints")]
+    return reaction_figure(traj, _window(traj, window), _size(size), names, _impacts(traj))
+
+
 def _size(size: Sequence[float] | None) -> tuple[float, float] | None:
     """Return width and height of a figure [in], or None. Raises InputError."""
     if size is None:
@@ -193,7 +224,7 @@ def save_figure(
     """Write a figure as an SVG, where the name ends in .svg, else as a PNG file, whole or not at all; return its path.
 
     Args:
-        figure: such as of `plot`, `plot_states` and `plot_forces`.
+        figure: such as of `plot`, `plot_states`, `plot_forces` and `plot_reactions`.
         path: ends with .png or .svg.
         overwrite: whether a file of this name is replaced.
         dpi: pixels per inch of a PNG; figures of runs are ten inches wide. In an SVG lines have no pixels, dots of

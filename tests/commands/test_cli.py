@@ -64,6 +64,21 @@ def test_plots_are_drawn_when_they_are_asked_for(command, tmp_path):
     reported(command("plot", "none"), "no such file")
 
 
+def test_reactions_are_drawn_of_runs_with_constraints(command, tmp_path):
+    """Of a pendulum whose string is a distance, and not of a ball without any."""
+    scene = Path("loop.toml")
+    scene.write_text(
+        '[[sphere]]\nname = "ball"\nradius = 0.1\nxyz = [0.5, 0.0, 0.0]\n'
+        '[[distance]]\nname = "string"\na = "world"\nb = "ball"\nlength = 0.5\n'
+        "[run]\ndt = 1e-2\nduration = 0.2\n"
+    )
+    assert command("run", scene, "-o", "out", "--no-html", "--plot").exit_code == OK
+    assert Path("out/reactions.png").read_bytes().startswith(b"\x89PNG")
+    assert command("plot", "out", "--no-browser", "-o", "there", "--format", "svg").exit_code == OK
+    assert "<svg" in Path("there/reactions.svg").read_text()
+    assert command("run", scene, "-o", "out", "--no-html", "--plot").exit_code == OK  # replaces its own
+
+
 def test_the_folder_of_a_run_is_reused_by_its_scene_alone(command, tmp_path):
     """Settings may differ; another scene needs --force, and so do results that no run of ours has made."""
     scene = ball_file(tmp_path)

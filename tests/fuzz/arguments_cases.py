@@ -306,6 +306,7 @@ OF_A_RUN = (
     "traj.events.array(ARRAY)",
     "cvi.plot(ITEM)",
     "cvi.plot_forces(ITEM)",
+    "cvi.plot_reactions(traj, ITEM)",
     "cvi.plot_states(traj)",
     "traj.poses(BODY)",
     "traj.poses(BODY, TIME)",

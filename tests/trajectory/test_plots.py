@@ -17,7 +17,7 @@ from contactvi.trajectory import plot_layout
 from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, panels
 from contactvi.trajectory.plots import save_figure
 from helpers.contact_runs import GRAVITY, MASS, MU, STOP, sliding_box
-from helpers.loop_scenes import arm_scene
+from helpers.loop_scenes import BAR, arm, arm_scene, four_bar, four_bar_start
 
 
 @pytest.fixture(scope="module")
@@ -210,6 +210,105 @@ def test_efforts_of_joints():
         cvi.plot_forces(traj, by="joint", pairs=[("a", "b")])
 
 
+@pytest.fixture(scope="module")
+def driven_loop() -> cvi.Trajectory:
+    """A four-bar linkage that a motor turns, whose last bar is on a stick to the world."""
+    scene = four_bar()
+    scene.prescribe("j1", lambda t: (-np.pi / 3 + 0.5 * t, 0.5, 0.0), name="motor")
+    return cvi.simulate(scene, four_bar_start(scene), duration=0.2, dt=2e-3)
+
+
+def test_reactions_of_a_loop_and_of_its_motor(driven_loop):
+    """What is drawn is what the run has: means over the steps, in their middles; torques in a panel of their own."""
+    traj = driven_loop
+    forces, torques = cvi.plot_reactions(traj).axes
+    assert forces.get_ylabel() == "force of constraint [N]\n(on its second body, or joint)"
+    assert torques.get_ylabel() == "torque of constraint [N m]\n(on its second body, or joint)"
+    assert labels(forces) == ["loop.x", "loop.y", "loop.z"]
+    assert labels(torques) == ["motor"]
+    drawn = {line.get_label(): line for axis in (forces, torques) for line in axis.lines}
+    middle = 0.5 * (traj.t[1:] + traj.t[:-1])
+    for name, values in [
+        *zip(labels(forces), traj.reactions("loop").T, strict=True),
+        ("motor", traj.reactions("motor")[:, 0]),
+    ]:
+        assert np.array_equal(drawn[name].get_ydata(), values[1:])
+        assert np.array_equal(drawn[name].get_xdata(), middle)
+    assert np.abs(traj.reactions("loop")).max() > 1.0
+    colors = {name: line.get_color() for name, line in drawn.items() if not name.startswith("_")}
+    assert len({colors[f"loop.{axis}"] for axis in "xyz"}) == 1  # one for a constraint
+    assert colors["motor"] != colors["loop.x"]
+    assert len({drawn[f"loop.{axis}"].get_linestyle() for axis in "xy"}) == 2
+    assert has_zero_line(forces)
+    assert has_zero_line(torques)
+
+
+def test_reactions_of_a_motor_hold_the_weight_of_an_arm():
+    """A rod of 1 kg that a motor keeps level has the torque m g l / 2 about -y, at every step."""
+    scene = arm_scene(1)
+    scene.prescribe("j1", 0.0, name="motor")
+    traj = cvi.simulate(scene, duration=0.1, dt=1e-2)
+    (axis,) = cvi.plot_reactions(traj).axes
+    (line,) = (line for line in axis.lines if line.get_label() == "motor")
+    assert line.get_ydata() == pytest.approx(np.full(10, -0.5 * BAR * GRAVITY), rel=1e-9)
+
+
+def test_reactions_of_joints_that_follow_others():
+    """Those of a coupling come from the momenta; the unit is that of the joint that follows."""
+    model = arm(2)
+    model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+    scene = cvi.Scene.from_pinocchio(model, name="arm")
+    scene.add_joint_equality("j2", "j1", (0.0, -1.0), name="mimic")
+    traj = cvi.simulate(scene, duration=0.1, dt=1e-3)
+    (axis,) = cvi.plot_reactions(traj).axes
+    assert axis.get_ylabel().startswith("torque of constraint [N m]")
+    (line,) = (line for line in axis.lines if line.get_label() == "mimic")
+    assert np.array_equal(line.get_ydata(), traj.reactions("mimic")[1:, 0])
+    assert np.abs(line.get_ydata()).max() > 0.1
+
+
+def test_chosen_constraints_and_none(driven_loop, box):
+    (axis,) = cvi.plot_reactions(driven_loop, ["motor"], window=(0.05, 0.1), size=(7.0, 4.0)).axes
+    assert labels(axis) == ["motor"]
+    with pytest.raises(cvi.InputError, match="Unknown constraint"):
+        cvi.plot_reactions(driven_loop, ["motors"])
+    with pytest.raises(cvi.InputError, match="a list of names"):
+        cvi.plot_reactions(driven_loop, "motor")
+    (axis,) = cvi.plot_reactions(box).axes
+    assert [text.get_text() for text in axis.texts] == ["no constraint"]
+
+
+def test_reactions_of_welds_and_screws_have_their_units():
+    """Six rows of a weld are forces and torques; of many curves in a panel there is a scale of colours."""
+    scene = cvi.Scene()
+    for k in range(4):
+        scene.add_box(f"b{k}", (0.1, 0.1, 0.1), mass=1.0, placement=(0.3 * k, 0.0, 0.0))
+        scene.add_weld("world", f"b{k}", name=f"weld {k}")
+    traj = cvi.simulate(scene, duration=0.02, dt=1e-3)
+    forces, torques, *scales = cvi.plot_reactions(traj).axes
+    assert len(scales) == 2
+    names = [f"weld {k}.{axis}" for k in range(4) for axis in "xyz"]
+    assert [tick.get_text() for tick in scales[0].get_yticklabels()] == names
+    curves = [line.get_ydata() for line in forces.lines if len(line.get_xdata()) == 20]
+    assert np.array_equal(curves, np.hstack([traj.reactions(f"weld {k}")[1:, :3] for k in range(4)]).T)
+    assert curves[2] == pytest.approx(np.full(20, GRAVITY), rel=1e-9)  # each holds its box
+    curves = [line.get_ydata() for line in torques.lines if len(line.get_xdata()) == 20]
+    assert np.array_equal(curves, np.hstack([traj.reactions(f"weld {k}")[1:, 3:] for k in range(4)]).T)
+    (chosen, _) = cvi.plot_reactions(traj, ["weld 1"]).axes
+    assert labels(chosen) == ["weld 1.x", "weld 1.y", "weld 1.z"]
+
+
+def test_reactions_of_a_stored_run_are_the_same(driven_loop, tmp_path):
+    """Its scene lacks the function of the motor, so that the unit of its effort is not known."""
+    stored = cvi.Trajectory.load(driven_loop.save(tmp_path / "run.npz"))
+    panels_ = cvi.plot_reactions(stored).axes
+    assert [axis.get_ylabel().split("\n")[0] for axis in panels_] == [
+        "force of constraint [N]", "force or torque of constraint [N or N m]",
+    ]  # fmt: skip
+    (line,) = (line for line in panels_[1].lines if line.get_label() == "motor")
+    assert np.array_equal(line.get_ydata(), driven_loop.reactions("motor")[1:, 0])
+
+
 def test_forces_on_a_body_that_is_fixed_and_on_the_universe():
     """A ball lies on a fixed table of the scene, and another one on a shape of Pinocchio's universe."""
     model, geometry = pin.Model(), pin.GeometryModel()
@@ -264,7 +363,7 @@ def test_states_say_which_velocities_are_in_the_axes_of_a_body():
     assert labels == ["angle [rad]", "angular velocity [rad/s]"]
 
 
-@pytest.mark.parametrize("draw", [cvi.plot, cvi.plot_states, cvi.plot_forces])
+@pytest.mark.parametrize("draw", [cvi.plot, cvi.plot_states, cvi.plot_forces, cvi.plot_reactions])
 def test_resolution_and_background_of_a_file(box, tmp_path, draw):
     """Ten inches are as many pixels as dpi says; without a background the corner is clear; an SVG holds lines."""
     from PIL import Image
@@ -311,9 +410,12 @@ def test_the_angle_of_a_joint_without_end_goes_on_over_whole_turns(options):
 
 
 def test_a_size_a_window_and_pairs(box):
+    scene = arm_scene(2)
+    scene.prescribe("j1", 0.1, name="motor")
+    driven = cvi.simulate(scene, duration=0.5, dt=1e-2)
     span, room = (0.1, 0.3), 0.01 * 0.2
-    for draw in (cvi.plot, cvi.plot_states, cvi.plot_forces):
-        figure = draw(box, size=(7.0, 9.0), window=span)
+    for draw, run in ((cvi.plot, box), (cvi.plot_states, box), (cvi.plot_forces, box), (cvi.plot_reactions, driven)):
+        figure = draw(run, size=(7.0, 9.0), window=span)
         assert figure.get_size_inches() == pytest.approx((7.0, 9.0))
         for axis in figure.axes:
             assert axis.get_xlim() == pytest.approx((span[0] - room, span[1] + room))
@@ -329,9 +431,9 @@ def test_a_size_a_window_and_pairs(box):
             assert tight.x0 >= page.x0 and tight.x1 <= page.x1 and tight.y0 >= page.y0 and tight.y1 <= page.y1  # noqa: PT018
         assert len({round(axis.yaxis.label.get_window_extent().x1) for axis in figure.axes if axis.get_ylabel()}) == 1
         with pytest.raises(cvi.InputError, match=r"at least 5\.2 inches of width .* Use size=\(5\.2, "):
-            draw(box, size=(3.0, 2.0))
+            draw(run, size=(3.0, 2.0))
         with pytest.raises(cvi.InputError, match="two times of the run in order"):
-            draw(box, window=(0.3, 0.1))
+            draw(run, window=(0.3, 0.1))
 
 
 def test_chosen_pairs():

@@ -25,16 +25,77 @@ async function draw() {
   signs.shown.impacts = job.forces;
   stage.resize();
   orbit.choose(run.camera);
-  let sent = Promise.resolve();  // a picture is drawn while the one before is on its way
-  for (const time of job.times) {
-    player.seek(time);
-    const changed = !film || differs(appearance());
-    if (changed) { stage.render(); }
-    const pixels = changed ? finished() : "";
-    await sent;
-    sent = fetch("frame", {method: "POST", body: pixels});
+  const post = pixels => fetch("frame", {method: "POST", body: pixels});
+  if (!film || !stage.renderer.capabilities.isWebGL2) {
+    for (const time of job.times) {
+      player.seek(time);
+      stage.render();
+      await post(finished());
+    }
+    return;
   }
+  // A frame is drawn while the one before is read, and that one while the one before it is on its way.
+  const copies = [new Copy(), new Copy()];
+  let read = null, sent = Promise.resolve();
+  const send = async copy => {
+    const pixels = copy.drawn ? await copy.pixels() : "";
+    await sent;
+    sent = post(pixels);
+  };
+  for (const [k, time] of job.times.entries()) {
+    const copy = copies[k % 2];
+    player.seek(time);
+    copy.drawn = differs(appearance());
+    if (copy.drawn) {
+      stage.render();
+      copy.begin();
+    }
+    if (read) { await send(read); }
+    read = copy;
+  }
+  await send(read);
   await sent;
+}
+
+// What the stage has drawn, on its way into the memory of the page, and what is written on it.
+class Copy {
+  constructor() {
+    const {width, height} = job, gl = stage.renderer.getContext();
+    Object.assign(this, {gl, buffer: gl.createBuffer(), rows: new Uint8Array(4 * width * height),
+      picture: new ImageData(width, height), canvas: newCanvas(), writing: newCanvas()});
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, this.buffer);
+    gl.bufferData(gl.PIXEL_PACK_BUFFER, this.rows.length, gl.STREAM_READ);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
+  }
+
+  begin() {
+    const {gl, writing} = this;
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, this.buffer);
+    gl.readPixels(0, 0, job.width, job.height, gl.RGBA, gl.UNSIGNED_BYTE, 0);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
+    this.done = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    const pen = penOf(writing);
+    pen.clearRect(0, 0, job.width, job.height);
+    write(pen);
+  }
+
+  async pixels() {
+    const {gl, rows, picture} = this, size = 4 * job.width;
+    while (gl.clientWaitSync(this.done, 0, 0) === gl.TIMEOUT_EXPIRED) { await new Promise(go => setTimeout(go, 1)); }
+    gl.deleteSync(this.done);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, this.buffer);
+    gl.getBufferSubData(gl.PIXEL_PACK_BUFFER, 0, rows);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
+    for (let row = 0; row < job.height; ++row) {  // WebGL has the lowest one first
+      picture.data.set(rows.subarray(size * (job.height - 1 - row), size * (job.height - row)), size * row);
+    }
+    if (!job.labels && !job.forces) { return picture.data; }
+    const pen = penOf(this.canvas);
+    pen.putImageData(picture, 0, 0);
+    pen.drawImage(this.writing, 0, 0);
+    return pen.getImageData(0, 0, job.width, job.height).data;
+  }
 }
 
 // Whether the picture is not the one that was drawn last: something in it has moved by a fiftieth of a pixel.
@@ -68,38 +129,27 @@ function appearance() {
 // Pixels of a metre at the target.
 function pixelsPerMetre() { return job.height / (2 * orbit.distance * Math.tan(stage.camera.fov * Math.PI / 360)); }
 
+function newCanvas() { return Object.assign(document.createElement("canvas"), {width: job.width, height: job.height}); }
+
+function penOf(canvas) { return canvas.getContext("2d", {willReadFrequently: true}); }
+
 // The pixels of the picture at its own size, four bytes each, with what is written on it.
-const canvas = document.createElement("canvas");
 function finished() {
-  const {width, height} = job;
-  if (canvas.width !== width || canvas.height !== height) { Object.assign(canvas, {width, height}); }
-  const pen = canvas.getContext("2d", {willReadFrequently: true});
-  if (job.ratio === 1) {
-    pen.putImageData(drawnPixels(width, height), 0, 0);
-  } else {
-    pen.clearRect(0, 0, width, height);
-    pen.imageSmoothingQuality = "high";
-    pen.drawImage(stage.renderer.domElement, 0, 0, width, height);
-  }
+  const pen = penOf(newCanvas());
+  pen.imageSmoothingQuality = "high";
+  pen.drawImage(stage.renderer.domElement, 0, 0, job.width, job.height);
+  write(pen);
+  return pen.getImageData(0, 0, job.width, job.height).data;
+}
+
+// Write names and scales on the picture.
+function write(pen) {
   if (job.labels) {
     const numbers = job.forces && job.times.length === 1 ? placedNumbers() : [];
     labels.drawInto(pen, [...numbers.filter(box => box), ...numbers.length ? signs.boxes() : []]);
     drawNumbers(pen, numbers);
   }
   if (job.forces) { drawScales(pen); }
-  return pen.getImageData(0, 0, width, height).data;
-}
-
-// What the stage has drawn, the upper row first: reading it takes a third of the time that drawing it into a canvas takes.
-let rows = null;
-function drawnPixels(width, height) {
-  rows = rows || [new Uint8Array(4 * width * height), new ImageData(width, height)];
-  const [upwards, picture] = rows, gl = stage.renderer.getContext(), size = 4 * width;
-  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upwards);
-  for (let row = 0; row < height; ++row) {
-    picture.data.set(upwards.subarray(size * (height - 1 - row), size * (height - row)), size * row);
-  }
-  return picture;
 }
 
 // Scales of forces, and of impulses where there are some: arrows of round numbers, as long as they are at the target.
