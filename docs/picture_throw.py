@@ -16,21 +16,19 @@ sys.path.insert(0, str(ROOT / "examples"))
 
 TIMES = 0.0, 0.29, 0.38, 0.466, 0.56, 0.66, 1.1  # [s]: rest, throw, flight, apex, flight, catch, rest
 CAMERA = {"eye": (0.21, -0.54, 0.24), "target": (0.0, 0.0, 0.09)}
-SIZE = 480, 360  # [pixels] of a picture
-LEFT, WIDTH = 100, 280  # of what is kept of it
+SIZE = 280, 360  # [pixels] of a picture
 
 
 def main() -> None:
     from hand_throw import throw
 
     traj = throw()
-    strip = Image.new("RGB", (WIDTH * len(TIMES), SIZE[1]))
+    strip = Image.new("RGB", (SIZE[0] * len(TIMES), SIZE[1]))
     with tempfile.TemporaryDirectory() as folder:
         for k, t in enumerate(TIMES):
-            picture = Image.open(
-                traj.render(Path(folder) / "throw.png", camera=CAMERA, size=SIZE, at=t, overwrite=True)
-            )
-            strip.paste(picture.convert("RGB").crop((LEFT, 0, LEFT + WIDTH, SIZE[1])), (WIDTH * k, 0))
+            file = traj.render(Path(folder) / "throw.png", camera=CAMERA, size=SIZE, at=t, overwrite=True)
+            with Image.open(file) as picture:
+                strip.paste(picture.convert("RGB"), (SIZE[0] * k, 0))
     strip.quantize(128).save(ROOT / "docs" / "hand_throw.png", optimize=True)
 
 

@@ -170,7 +170,7 @@ def run(
         bool,
         typer.Option(
             "--plot/--no-plot",
-            help="Draw what contactvi plot draws at once: energy.png, forces.png of contact, reactions.png of constraints.",
+            help="Draw at once what contactvi plot draws: energy.png, forces.png of contact, reactions.png of loops.",
         ),
     ] = False,
     base: Base = None,

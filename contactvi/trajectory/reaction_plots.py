@@ -1,4 +1,4 @@
-"""The reactions of the constraints of a run as a figure: loops, joints that follow others, motions and driven lengths."""
+"""The reactions of the constraints of a run as a figure: of loops, followers, motions and driven lengths."""
 
 from __future__ import annotations
 

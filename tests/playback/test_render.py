@@ -164,6 +164,65 @@ def test_film(falling, tmp_path):
 
 
 @pytest.mark.browser
+def test_frames_of_a_film_in_which_nothing_moves_are_drawn_once(tmp_path, monkeypatch):
+    """A ball falls, and then lies: each frame of the fall is sent, those at rest are not, and the film shows them."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, color=(0.1, 0.6, 0.2, 1.0), placement=(0, 0, 0.3))
+    scene.set_contact(restitution=0.0)
+    run = cvi.simulate(scene, duration=1.0, dt=1e-2)
+    landed = np.sqrt(2.0 * 0.2 / 9.81)
+    sizes, plain = [], headless.pictures
+
+    def watched(page, count):
+        for data in plain(page, count):
+            sizes.append(len(data))
+            yield data
+
+    monkeypatch.setattr(render_module, "pictures", watched)
+    program(tmp_path, "ffmpeg", 'for last; do :; done; exec cat > "$last"')
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    film = run.render(tmp_path / "a.mp4", size=(96, 72), fps=20.0, camera="side", forces=False)
+    sent = np.array(sizes) > 0
+    assert len(sent) == 21
+    times = np.arange(21) / 20.0
+    assert np.all(sent[times < landed])
+    assert not sent[times > landed + 0.1].any()
+    assert set(sizes) == {0, 4 * 96 * 72}
+    frames = np.frombuffer(film.read_bytes(), np.uint8).reshape(-1, 72, 96, 3)
+    places = [np.flatnonzero(green(frame).any(axis=1)).mean() for frame in frames]
+    assert len(places) == 21
+    assert np.all(np.diff(places)[: np.count_nonzero(times < landed) - 1] > 0)
+    assert np.array_equal(frames[-1], frames[-8])
+    assert not np.array_equal(frames[-1], frames[0])
+
+
+@pytest.mark.browser
+def test_names_and_scales_are_in_every_frame_of_a_film(tmp_path):
+    """The name moves with the ball, and the scale of forces stays where it is."""
+    box = sliding_box()
+    options = {"size": (320, 240), "fps": 10.0, "end": 0.4, "camera": "side"}
+    films = {}
+    for name, shown in (("plain", {"forces": False}), ("named", {"forces": False, "labels": True}), ("scaled", {})):
+        with Image.open(box.render(tmp_path / f"{name}.gif", **options, **shown)) as image:
+            frames = []
+            for k in range(image.n_frames):
+                image.seek(k)
+                frames.append(np.asarray(image.convert("RGB")).astype(int))
+        films[name] = np.array(frames)
+    assert len(films["plain"]) == len(films["named"]) == len(films["scaled"]) == 5
+    columns, inked = [], []
+    for plain, named, scaled in zip(*films.values(), strict=True):
+        changed = np.abs(named - plain).max(axis=2) > 60
+        assert changed.sum() > 50
+        columns.append(np.flatnonzero(changed.any(axis=0)).mean())
+        inked.append(np.abs(scaled - (0x1D, 0x27, 0x33)).max(axis=2)[-30:, :120] < 40)  # the colour of the scale
+    assert np.all(np.diff(columns) > 1.0)
+    assert inked[0].sum() > 60
+    assert all(np.mean(ink == inked[0]) > 0.99 for ink in inked)
+
+
+@pytest.mark.browser
 def test_film_by_ffmpeg_gets_the_frames(falling, tmp_path, monkeypatch):
     """A program in the place of ffmpeg writes what it gets: raw frames of the size that it was told."""
     program(tmp_path, "ffmpeg", f'echo "$@" > {tmp_path}/arguments; for last; do :; done; exec cat > "$last"')

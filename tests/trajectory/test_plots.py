@@ -411,7 +411,7 @@ def test_the_angle_of_a_joint_without_end_goes_on_over_whole_turns(options):
 
 def test_a_size_a_window_and_pairs(box):
     scene = arm_scene(2)
-    scene.prescribe("j1", 0.1, name="motor")
+    scene.prescribe("j1", 0.0, name="motor")
     driven = cvi.simulate(scene, duration=0.5, dt=1e-2)
     span, room = (0.1, 0.3), 0.01 * 0.2
     for draw, run in ((cvi.plot, box), (cvi.plot_states, box), (cvi.plot_forces, box), (cvi.plot_reactions, driven)):

@@ -24,6 +24,8 @@ async function draw() {
   player.speed = job.speed;
   signs.shown.impacts = job.forces;
   stage.resize();
+  player.seek(job.times[0]);
+  orbit.margins = () => [0, hasScales(film) ? Math.max(0, SCALE_HEIGHT - 0.025 * job.height) : 0];
   orbit.choose(run.camera);
   const post = pixels => fetch("frame", {method: "POST", body: pixels});
   if (!film || !stage.renderer.capabilities.isWebGL2) {
@@ -150,6 +152,14 @@ function write(pen) {
     drawNumbers(pen, numbers);
   }
   if (job.forces) { drawScales(pen); }
+}
+
+const SCALE_HEIGHT = 28;  // [px] below what is drawn, of which the camera leaves a fortieth of the height free anyway
+
+// Whether there are scales in the picture, or in one of those of a film.
+function hasScales(film) {
+  const impulses = film ? source.events.strongest > 0 : signs.struck.length > 0;
+  return job.forces && (source.fullForce !== null || impulses);
 }
 
 // Scales of forces, and of impulses where there are some: arrows of round numbers, as long as they are at the target.
