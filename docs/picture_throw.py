@@ -14,7 +14,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "examples"))
 
-TIMES = 0.0, 0.29, 0.38, 0.466, 0.56, 0.66, 1.1  # [s]: rest, throw, flight, apex, flight, catch, rest
+TIMES = 0.0, 0.29, 0.38, 0.47, 0.56, 0.66, 1.0  # [s]: rest, throw, flight, apex, flight, catch, rest
 CAMERA = {"eye": (0.21, -0.54, 0.24), "target": (0.0, 0.0, 0.09)}
 SIZE = 280, 360  # [pixels] of a picture
 

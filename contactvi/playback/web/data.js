@@ -66,7 +66,8 @@ class EventList {
   // In words, beside time, kind and names.
   detail(k) {
     if (!this.isImpact(k)) { return this.count[k] > 1 ? this.count[k] + " points" : ""; }
-    const [push, speed] = this.kind[k] === 0 ? [" N s", " m/s"] : ["", ""];  // a limit may be an angle or a length
+    // A limit may be an angle or a length. No line ends between a number and its unit.
+    const [push, speed] = this.kind[k] === 0 ? ["\u00a0N\u00a0s", "\u00a0m/s"] : ["", ""];
     return "impulse " + short(this.impulse[k]) + push + ", speed " + short(this.before[k]) + " to " +
       short(this.after[k]) + speed;
   }
