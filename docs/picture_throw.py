@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "examples"))
 
 TIMES = 0.0, 0.29, 0.38, 0.47, 0.56, 0.66, 1.0  # [s]: rest, throw, flight, apex, flight, catch, rest
-CAMERA = {"eye": (0.21, -0.54, 0.24), "target": (0.0, 0.0, 0.09)}
+CAMERA = {"eye": (0.26, -0.65, 0.275), "target": (0.005, 0.0, 0.095)}
 SIZE = 280, 360  # [pixels] of a picture
 
 
