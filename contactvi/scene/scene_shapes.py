@@ -215,8 +215,9 @@ class SceneShapes(ABC):
         """Add a height field, fixed to the world: a block with vertical sides under heights over a rectangle.
 
         Smooth ones are one surface without seams: the bicubic spline through the samples, with two continuous
-        derivatives. What touches it is what touches a surface of `add_surface`; a ball or the end of a capsule touches
-        in as many points as it has nearest ones, so that hollows may be narrower than it is. The block has no bottom.
+        derivatives. What touches it is what touches a surface of `add_surface`, and cylinders, ellipsoids and solids; a
+        ball or the end of a capsule touches in as many points as it has nearest ones, so that hollows may be narrower
+        than it is. The block has no bottom.
 
         Args:
             name: of the body, its geometry and its part.
@@ -264,8 +265,9 @@ class SceneShapes(ABC):
         """Add a torus about z: the radius of the ring of the tube's axis, and the tube's, which is smaller [m].
 
         Balls, capsules (by their ends), boxes and hulls (by their vertices) touch it, exactly, wherever it is nearest:
-        a ball in as many points as it has nearest ones. So do other solids, ellipsoids and halfspaces. `hollow`: the
-        solid is all around the torus, a channel, fixed to the world (free=False). The rest as in add_sphere.
+        a ball in as many points as it has nearest ones. So do other solids, ellipsoids, cylinders, halfspaces and
+        smooth height fields. `hollow`: the solid is all around the torus, a channel, fixed to the world (free=False).
+        The rest as in add_sphere.
         """
         solid = torus(ring, tube, flag("hollow", hollow))
         inertia = solid.inertia(real("mass", mass, 0.0, open_low=True))

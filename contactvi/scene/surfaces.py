@@ -37,7 +37,8 @@ _SAMPLES = 5  # along each axis, at which functions are tried when they are give
 _UNIT = 1e-6  # by how much the gradient of a distance may differ from a unit vector, as in the engine
 _AGREE = 1e-5  # of 1 + the gradient: what a given gradient and differences may differ by
 TOUCHING = (coal.Sphere, coal.Capsule, coal.Box, coal.Convex)
-TOUCHING_SOLIDS = (coal.Halfspace, coal.Ellipsoid)
+TOUCHING_SOLIDS = (coal.Halfspace, coal.Ellipsoid, coal.Cylinder)
+TOUCHING_FIELDS = (coal.Ellipsoid, coal.Cylinder)
 _VALUES = {"height": 6, "distance": 4}
 
 
@@ -302,19 +303,26 @@ def refuse_untouchable(
             if objects[own].name not in surfaces or isinstance(objects[other].geometry, TOUCHING):
                 continue
             met = surfaces.get(objects[other].name)
-            if isinstance(surfaces[objects[own].name], Solid) and (
-                isinstance(met, Solid) if met is not None else isinstance(objects[other].geometry, TOUCHING_SOLIDS)
-            ):
+            if _touch_at_normals(surfaces[objects[own].name], met, objects[other].geometry):
                 continue
             kind = met.kind if met is not None else None
             raise SceneError(
                 f"The surface {objects[own].name!r} and {objects[other].name!r} have no contact",
                 body=objects[other].name,
-                expected="a ball, capsule, box or convex hull on a surface given by a function, and two solids, or one "
-                "and a halfspace or an ellipsoid",
+                expected="a ball, capsule, box or convex hull on a surface given by a function; two solids, or one and "
+                "a halfspace; a cylinder or an ellipsoid on a solid or a smooth height field, or a solid on that",
                 got=kind or type(objects[other].geometry).__name__,
                 remedy=f"scene.disable_pair({names[0]!r}, {names[1]!r}), or another shape: add_mesh takes hulls",
             )  # fmt: skip
+
+
+def _touch_at_normals(own: GivenSurface, met: GivenSurface | None, shape: coal.CollisionGeometry) -> bool:
+    """Return whether a surface and another one, or a shape, touch at their common normals."""
+    if met is not None:
+        return any(isinstance(a, Solid) and isinstance(b, (Solid, HeightField)) for a, b in ((own, met), (met, own)))
+    if isinstance(own, Solid):
+        return isinstance(shape, TOUCHING_SOLIDS)
+    return isinstance(own, HeightField) and isinstance(shape, TOUCHING_FIELDS)
 
 
 def surface_from_dict(data: Mapping[str, Any]) -> GivenSurface:

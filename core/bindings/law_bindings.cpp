@@ -26,6 +26,7 @@
 #include "bindings/user_functions.hpp"
 #include "impact/incremental_impact.hpp"
 #include "model/common_normals.hpp"
+#include "model/cylinder_normals.hpp"
 #include "model/function_surface.hpp"
 #include "model/height_field.hpp"
 #include "model/implicit_surface.hpp"
@@ -179,19 +180,7 @@ void set_surface(Scene& s, int geometry, const GivenSurface& given, bool is_heig
   put_surface(s, geometry, reach, surface_of(s, given, is_height, tell));
 }
 
-void set_height_field(Scene& s, int geometry, const MatX& coefficients, const Eigen::Vector2d& corner,
-                      const Eigen::Vector2d& spacing, double reach, const OfPoint& tell) {
-  if (coefficients.rows() < 4 || coefficients.cols() < 4) throw Error("a height field needs four coefficients");
-  put_surface(s, geometry, reach, std::make_shared<HeightField>(coefficients, corner, spacing, lost_of(s, tell)));
-}
-
-using Corner = Eigen::Vector3d;
-
-// Where a level set is the surface of a solid, or of all but that: whether it is hollow, the low and high corner of a
-// grid and its cells along each axis.
-using Cells = std::tuple<bool, Corner, Corner, Eigen::Vector3i>;
-
-// An ellipsoid that meets a solid has a level set, too.
+// An ellipsoid that meets a solid or a height field has a level set, too.
 void make_solid(Geometry& g, const FunctionSurface::Lost& lost) {
   if (g.solid || g.sharp->getNodeType() != coal::GEOM_ELLIPSOID) return;
   const Vec3 radii = static_cast<const coal::Ellipsoid&>(*g.sharp).radii, half = 1.1 * radii;
@@ -199,6 +188,27 @@ void make_solid(Geometry& g, const FunctionSurface::Lost& lost) {
   g.solid =
       std::make_shared<ImplicitSurface>(superellipsoid(radii, 2.0), false, BoxTree::Box(-half, half), cells, lost);
 }
+
+void make_solids_of_partners(Scene& s, int geometry, const FunctionSurface::Lost& lost) {
+  for (const Pair& pair : s.pairs)
+    for (const auto& [one, other] : {std::pair(pair.a, pair.b), std::pair(pair.b, pair.a)})
+      if (one == geometry) make_solid(s.geometries[static_cast<std::size_t>(other)], lost);
+}
+
+void set_height_field(Scene& s, int geometry, const MatX& coefficients, const Eigen::Vector2d& corner,
+                      const Eigen::Vector2d& spacing, double reach, const OfPoint& tell) {
+  if (coefficients.rows() < 4 || coefficients.cols() < 4) throw Error("a height field needs four coefficients");
+  const auto field = std::make_shared<HeightField>(coefficients, corner, spacing, lost_of(s, tell));
+  put_surface(s, geometry, reach, field);
+  s.geometries[static_cast<std::size_t>(geometry)].field = field;
+  make_solids_of_partners(s, geometry, lost_of(s, tell));
+}
+
+using Corner = Eigen::Vector3d;
+
+// Where a level set is the surface of a solid, or of all but that: whether it is hollow, the low and high corner of a
+// grid and its cells along each axis.
+using Cells = std::tuple<bool, Corner, Corner, Eigen::Vector3i>;
 
 void put_level_set(Scene& s, int geometry, std::unique_ptr<const LevelSet> level, const Cells& cells, double reach,
                    const OfPoint& tell) {
@@ -211,9 +221,7 @@ void put_level_set(Scene& s, int geometry, std::unique_ptr<const LevelSet> level
   g.reaches = !hollow;
   g.radius = 0.5 * box.sizes().norm();
   g.center_B = g.p_BG + g.R_BG * box.center();
-  for (const Pair& pair : s.pairs)
-    for (const auto& [one, other] : {std::pair(pair.a, pair.b), std::pair(pair.b, pair.a)})
-      if (one == geometry) make_solid(s.geometries[static_cast<std::size_t>(other)], lost_of(s, tell));
+  make_solids_of_partners(s, geometry, lost_of(s, tell));
 }
 
 void set_spline_solid(Scene& s, int geometry, std::vector<double> coefficients, const Cells& cells, double reach,
@@ -239,18 +247,31 @@ MatX feet_of(const Scene& s, int geometry, const Corner& point, double reach) {
   return rows;
 }
 
-// Rows of gap, normal and the places of the common normals of two solids, the second one at R x + t in the frame of the
-// first one: the least one, and those with a gap up to reach.
+// Rows of gap, normal and the places of the common normals of two shapes, the second one at R x + t in the frame of the
+// first one: the least one, and those with a gap up to reach. Of a cylinder also its part, and how far the place is from
+// the border of that.
 MatX common_normals_of(const Scene& s, int first, int second, const Mat3& R, const Vec3& t, double reach) {
-  const auto solid = [&s](int k) { return s.geometries.at(static_cast<std::size_t>(k)).solid.get(); };
-  if (solid(first) == nullptr || solid(second) == nullptr) throw Error("there is no such solid");
+  const Geometry &one = s.geometries.at(static_cast<std::size_t>(first)),
+                 &other = s.geometries.at(static_cast<std::size_t>(second));
+  const SearchedSurface* surface = one.field ? static_cast<const SearchedSurface*>(one.field.get()) : one.solid.get();
+  const bool is_cylinder = other.sharp->getNodeType() == coal::GEOM_CYLINDER;
+  if (surface == nullptr || !(is_cylinder || other.solid)) throw Error("there is no such solid");
   std::vector<CommonNormal> found;
   std::vector<int> number;
-  CommonNormals({solid(first), Vec3::UnitZ(), 0.0}, *solid(second), R, t).all({}, reach, found, number);
-  MatX rows(static_cast<Eigen::Index>(found.size()), 10);
+  std::vector<double> depth;  // in the part of a cylinder
+  if (is_cylinder) {
+    const auto& shape = static_cast<const coal::Cylinder&>(*other.sharp);
+    const CylinderNormals normals(*surface, {shape.radius, shape.halfLength}, R, t);
+    normals.all({}, reach, found, number);
+    for (const CommonNormal& c : found) depth.push_back(normals.depth(c));
+  } else {
+    CommonNormals({surface, Vec3::UnitZ(), 0.0}, *other.solid, R, t).all({}, reach, found, number);
+  }
+  MatX rows(static_cast<Eigen::Index>(found.size()), is_cylinder ? 12 : 10);
   for (Eigen::Index k = 0; k < rows.rows(); ++k) {
     const CommonNormal& c = found[static_cast<std::size_t>(k)];
-    rows.row(k) << c.gap, c.normal.transpose(), c.first.transpose(), c.second.transpose();
+    rows.row(k).head<10>() << c.gap, c.normal.transpose(), c.first.transpose(), c.second.transpose();
+    if (is_cylinder) rows.row(k).tail<2>() << c.part, depth[static_cast<std::size_t>(k)];
   }
   return rows;
 }

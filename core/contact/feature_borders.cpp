@@ -52,7 +52,8 @@ void FeatureBorders::begin(const std::vector<PersistentContact>& contacts) {
     if (!scene.is_pair(point.guard)) continue;
     for (bool of_b : {false, true}) {
       Feature feature{i, of_b, 0.0, {}, Vec3::Zero(), 0.0};
-      feature.size = geometry(feature, of_b).radius;
+      // A surface that is given by a function may have no size.
+      feature.size = geometry(feature, point.kind == PointKind::kSolids ? point.on_b : of_b).radius;
       if (point.kind != PointKind::kWitness) {
         if (of_b == point.on_b) continue;  // the face is of the other shape
         feature.start_depth = inside_face(feature);

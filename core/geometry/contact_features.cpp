@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "model/cylinder_normals.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -26,6 +28,9 @@ int feature_rim(std::int64_t n) {
     case Feature::kRimPointA:
     case Feature::kRimPointB:
       return feature_i(n) / kRimPoints;
+    case Feature::kSolidsA:
+    case Feature::kSolidsB:
+      return cylinder_part::rim_of(feature_i(n));
     default:
       return -1;
   }

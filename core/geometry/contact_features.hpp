@@ -24,7 +24,7 @@ enum class Feature : std::uint8_t {
   kEndA = 11,
   kRimLineB = 12,  // rim i / 2 of b against edge j of a; i odd: the second place where they are nearest
   kRimLineA = 13,
-  kSolidsB = 14,  // common normal j of two solids, from a to b
+  kSolidsB = 14,  // common normal j, from a to b; i: the part of a cylinder (model/cylinder_normals.hpp)
   kSolidsA = 15,
 };
 

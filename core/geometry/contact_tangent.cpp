@@ -111,15 +111,10 @@ bool ContactTangent::take_point(const ContactPoint& p) {
 
 bool ContactTangent::take_solids(const ContactPoint& p) {
   const SolidPair solids(*scene_, p.guard, twists_.placements());
-  Mat3 bends[2];
-  if (!solids.normals().bends(solids.known(p.origin_B, p.center_B), bends[0], bends[1]))
+  ContactSurface found[2];
+  if (!solids.surfaces(solids.known(p.origin_B, p.center_B, feature_i(p.feature)), found))
     return refuse("the curvature of two solids is not known");
-  for (int k = 0; k < 2; ++k) {
-    const int side = (k == 1) == p.on_b ? 1 : 0;
-    const Mat3& R = solids.first_pose().R;
-    surface_[side] = ContactSurface::curved("surface of a solid", side == 1 ? contact_.point_b : contact_.point_a,
-                                            R * bends[k] * R.transpose());
-  }
+  for (int k = 0; k < 2; ++k) surface_[(k == 1) == p.on_b ? 1 : 0] = found[k];
   return set_system();
 }
 

@@ -265,7 +265,7 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
 bool Guards::has_closed_form(int guard) const {
   const Pair& pair = scene_->pairs[guard];
   return scene_->geometries[pair.a].unbounded != scene_->geometries[pair.b].unbounded ||
-         manifolds_.has_capsules(guard) || manifolds_.are_solids(guard);
+         manifolds_.has_capsules(guard) || manifolds_.has_common_normals(guard);
 }
 
 double Guards::find_nearest(int guard, Contact& contact) {

@@ -73,8 +73,6 @@ class Collect final : public CandidateSink {
 
 // From this tilt [rad] on, the far side of a rolling rim cannot close before the points are found again.
 constexpr double kNearlyFlat = 0.1;
-// The far side of a rim counts as closed this much early [m]; less than the touch tolerance, or it would not be found.
-constexpr double kFarSlack = 5e-12;
 // Factor on the tolerances of find within which a point stays valid, so that a point just found is valid.
 constexpr double kStay = 2.0;
 // A point of a contact lies no deeper than kOverlap times the overlap of the pair and kSameOverlap [m], which is more
@@ -253,7 +251,7 @@ class Manifolds::Least final : public CandidateSink {
       : owner_(owner), at_(at), persistent_(persistent), count_(count), enough_(enough) {
     limit = enough;
     falls = true;
-    supported_ = count >= std::min(owner.are_solids(pair) ? 2 : 3, owner.max_points_);
+    supported_ = count >= std::min(owner.has_common_normals(pair) ? 2 : 3, owner.max_points_);
   }
 
   void add(const Candidate& c) override {
@@ -341,12 +339,13 @@ Manifolds::Manifolds(const Scene& scene, int max_points)
     any_feet_ |= g.surface && g.surface->knows_all_feet();
   }
   for (int k = 0; k < static_cast<int>(scene.pairs.size()); ++k)
-    if (scene.geometries[scene.pairs[k].a].unbounded && scene.geometries[scene.pairs[k].b].unbounded && !are_solids(k))
+    if (scene.geometries[scene.pairs[k].a].unbounded && scene.geometries[scene.pairs[k].b].unbounded &&
+        !has_common_normals(k))
       throw Refusal("Two halfspaces cannot touch each other", "at most one halfspace in a pair", "two",
                     "Take the pair out: scene.disable_pair(a, b)");
 }
 
-bool Manifolds::are_solids(int pair) const { return any_feet_ && SolidPair::is_one(*scene_, pair); }
+bool Manifolds::has_common_normals(int pair) const { return any_feet_ && SolidPair::is_one(*scene_, pair); }
 
 const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
   return shape_features_of(scene_->geometries[geometry], scene_->pairs[pair].rounded);
@@ -354,7 +353,7 @@ const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
 
 // Whether coal's point is the only one of the pair.
 bool Manifolds::is_single(int pair) const {
-  if (are_solids(pair)) return false;
+  if (has_common_normals(pair)) return false;
   const ShapeFeatures &a = features(pair, scene_->pairs[pair].a), &b = features(pair, scene_->pairs[pair].b);
   auto is_empty = [](const ShapeFeatures& o) { return o.vertices.empty() && o.faces.empty(); };
   auto is_point = [](const ShapeFeatures& o) { return o.vertices.size() == 1; };
@@ -421,7 +420,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
   }
   const std::vector<int>& chosen = selection_.choose(found_, n, max_points_);
   const auto made = [&](const Candidate& c) {
-    return are_solids(pair) && c.feature != 0 ? listed_point(pair, at, c.feature) : make_point(pair, v, c, n);
+    return has_common_normals(pair) && c.feature != 0 ? listed_point(pair, at, c.feature) : make_point(pair, v, c, n);
   };
   for (int i : chosen) points.push_back(made(found_[i]));
   if (others == nullptr || chosen.size() == found_.size()) return;
@@ -480,11 +479,26 @@ double Manifolds::next_gap_on_surface(int pair, const Placements& at, const Pair
     contact.gap = foot.distance;
     return foot.distance;
   }
-  const double value = least.value();
-  if (value == kInfinity) return value;
-  const bool solids = are_solids(pair);
-  evaluate(solids ? listed_point(pair, at, least.best.feature) : make_point(pair, v, least.best, Vec3::Zero()), at,
-           contact);
+  double value = least.value();
+  const bool solids = has_common_normals(pair);
+  if (value < kInfinity)
+    evaluate(solids ? listed_point(pair, at, least.best.feature) : make_point(pair, v, least.best, Vec3::Zero()), at,
+             contact);
+  if (!solids) return value;
+  if (common_normals_.empty() && beside_.gap < kInfinity) {
+    const SolidPair shapes(*scene_, pair, at);
+    const ContactPoint none = make_solids_point(pair, shapes, 0, beside_);
+    set_contact(none, shapes.first_pose().R * beside_.normal, shapes.first_pose().point(beside_.second), beside_.gap,
+                contact);
+    return beside_.gap < enough ? beside_.gap : kInfinity;
+  }
+  for (int i = 0; i < count; ++i) {
+    Contact far;
+    const double gap = far_on_surface(*persistent[i], at, far);
+    if (gap >= value) continue;
+    value = gap;
+    contact = far;
+  }
   return value;
 }
 
@@ -669,7 +683,7 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
 }
 
 ContactPoint Manifolds::point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const {
-  if (are_solids(pair) && feature != 0) return listed_point(pair, at, feature);
+  if (has_common_normals(pair) && feature != 0) return listed_point(pair, at, feature);
   const Candidate named{feature, 0.0, 0.5 * (witness.point_a + witness.point_b)};
   // Of several feet the one of this number, where it is now.
   for (const KnownFoot& known : known_feet_) {
@@ -700,7 +714,7 @@ void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contac
 
 bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
   if (point.feature == 0) return true;
-  if (point.kind == PointKind::kSolids) return !has_merged(point, at);
+  if (point.kind == PointKind::kSolids) return depth_in_part(point, at) >= -kStay * kBorder && !has_merged(point, at);
   const PairView v = view(point.guard, at);
   if (point.kind == PointKind::kEdge) {
     Contact contact;
@@ -724,6 +738,7 @@ bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
 }
 
 double Manifolds::inside_face(const ContactPoint& point, const Placements& at) const {
+  if (point.kind == PointKind::kSolids) return depth_in_part(point, at);
   if (point.feature == 0 || (point.kind != PointKind::kVertex && point.kind != PointKind::kRim))
     return std::numeric_limits<double>::infinity();
   const PairView v = view(point.guard, at);

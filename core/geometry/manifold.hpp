@@ -25,9 +25,10 @@
 // a ball has a point at each of them, which goes with its foot: feet that belong to persistent points have their
 // numbers, the others the lowest numbers that are left.
 //
-// Two solids, and a solid and a halfspace or an ellipsoid, touch at their common normals (kSolids), whose numbers are
-// given as those of feet. Where the surfaces lie along each other there are places all over; a few of them, which span
-// the area, become points.
+// Two solids, a solid and a halfspace, an ellipsoid or a height field, and a cylinder and a solid or a height field touch
+// at their common normals (kSolids), whose numbers are given as those of feet. Where the surfaces lie along each other
+// there are places all over; a few of them, which span the area, become points. A cylinder has them on each rim, on its
+// side and on its ends; of a rim that lies flat, material points of it (model/cylinder_normals.hpp).
 //
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
 //     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two
@@ -82,8 +83,8 @@ struct ContactPoint {
   // normal_B, swept by `offset`. kRimLine: the circle of kRim against such a line, where they are nearest near far_B.
   // kSurface: the point center_B, swept by `radius`, against a surface that a function gives; of several feet the one
   // near far_B, in plane_body's frame.
-  // kSolids: the common normal of two solids, or of a solid and a halfspace, near the place center_B on the surface of
-  // point_body and the place origin_B on that of plane_body.
+  // kSolids: the common normal of two shapes, one of them a solid or a height field, near the place center_B on the
+  // surface of point_body and the place origin_B on that of plane_body.
   Vec3 origin_B;
 };
 
@@ -129,8 +130,8 @@ class Manifolds {
   void update_moving(ContactPoint& point, const Placements& at);
   // Whether a ball of the pair, or of any, may touch in several feet of a surface that a function gives.
   bool any_feet() const { return any_feet_; }
-  // Whether a pair is of two solids, or of one and a halfspace or an ellipsoid.
-  bool are_solids(int pair) const;
+  // Whether a pair touches at common normals (solid_pair.hpp).
+  bool has_common_normals(int pair) const;
   bool has_feet(int pair) const;
   // The points of a pair that persist from now on. Of no concern where the pair has no several feet.
   void set_persistent(int pair, const std::vector<const ContactPoint*>& points);
@@ -209,6 +210,8 @@ class Manifolds {
   int number_of_foot(const FunctionSurface& surface, int pair, int vertex, const Vec3& point, const Vec3& place) const;
   void list_common_normals(int pair, const Placements& at, CandidateSink& sink);
   void move_on_solids(ContactPoint& point, const Placements& at);
+  double depth_in_part(const ContactPoint& point, const Placements& at) const;
+  double far_on_surface(const ContactPoint& point, const Placements& at, Contact& contact) const;
   ContactPoint make_solids_point(int pair, const SolidPair& solids, std::int64_t feature, const CommonNormal& c) const;
   void solids_gap(const ContactPoint& p, const Placements& at, Contact& contact) const;
   ContactPoint listed_point(int pair, const Placements& at, std::int64_t feature) const;
@@ -248,10 +251,13 @@ class Manifolds {
   std::vector<CommonNormal> known_normals_, common_normals_;
   std::vector<std::int64_t> common_features_;
   int listed_pair_ = -1;
+  CommonNormal beside_{};  // of that pair; an infinite gap: the shape is not beside a height field
   std::vector<int> known_numbers_;
 };
 
 // See Manifolds::next_gap [m].
 constexpr double kNextGapSlack = 3e-11;
+// The far side of a rim counts as closed this much early [m]; less than the touch tolerance, or it would not be found.
+constexpr double kFarSlack = 5e-12;
 
 }  // namespace contactvi

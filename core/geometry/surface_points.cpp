@@ -23,7 +23,7 @@ const Geometry* Manifolds::surface_of(int pair) const {
 
 // All vertices of the other shape. A gap that is no number is listed whatever the limit is.
 void Manifolds::list_on_surface(int pair, const PairView& v, const Placements& at, CandidateSink& sink) {
-  if (are_solids(pair)) return list_common_normals(pair, at, sink);
+  if (has_common_normals(pair)) return list_common_normals(pair, at, sink);
   if (has_feet(pair)) return list_feet(pair, v, at, sink);
   const Geometry& g = *surface_of(pair);
   const bool on_b = &g == &scene_->geometries[scene_->pairs[pair].a];
@@ -84,7 +84,7 @@ int Manifolds::number_of_foot(const FunctionSurface& surface, int pair, int vert
 bool Manifolds::has_feet(int pair) const {
   const Geometry* g = any_feet_ ? surface_of(pair) : nullptr;
   if (g == nullptr || !g->surface->knows_all_feet()) return false;
-  if (are_solids(pair)) return true;
+  if (has_common_normals(pair)) return true;
   const Pair& p = scene_->pairs[pair];
   return features(pair, g == &scene_->geometries[p.a] ? p.b : p.a).radius > 0.0;
 }
@@ -94,7 +94,7 @@ void Manifolds::set_persistent(int pair, const std::vector<const ContactPoint*>&
   known_feet_.erase(std::remove_if(known_feet_.begin(), known_feet_.end(),
                                    [pair](const KnownFoot& known) { return known.pair == pair; }),
                     known_feet_.end());
-  if (are_solids(pair)) {
+  if (has_common_normals(pair)) {
     const Pair& own = scene_->pairs[pair];
     for (const ContactPoint* p : points) {
       const Geometry &second = scene_->geometries[p->on_b ? own.b : own.a],

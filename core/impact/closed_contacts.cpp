@@ -3,12 +3,17 @@
 #include <cmath>
 
 #include "impact/sequence.hpp"
+#include "model/cylinder_normals.hpp"
 
 namespace contactvi {
 
 namespace {
 constexpr double kImmobile = 1e-12;  // of the inverse inertia without constraints: below it constraints hold the point
 constexpr double kDriven = 1e-9;     // of the speeds: constraints that close a held point faster are an error
+
+bool is_whole_rim(const ContactPoint& p) {
+  return p.kind == PointKind::kRim || (p.kind == PointKind::kSolids && cylinder_part::is_rim(feature_i(p.feature)));
+}
 }  // namespace
 
 // Makes closed_[count_] a contact of a guard without points.
@@ -53,7 +58,7 @@ bool ImpactSequence::add_guard(int guard, const std::vector<PersistentContact>& 
     bool found = false;
     // The material points of a flat rim represent the rim.
     for (const ContactPoint& p : c.points)
-      found |= is(p, h.point) || (h.point.kind == PointKind::kRim && feature_rim(h.point.feature) >= 0 &&
+      found |= is(p, h.point) || (is_whole_rim(h.point) && !is_whole_rim(p) && feature_rim(h.point.feature) >= 0 &&
                                   feature_rim(p.feature) == feature_rim(h.point.feature) &&
                                   feature_on_b(p.feature) == feature_on_b(h.point.feature));
     if (found) continue;

@@ -24,6 +24,12 @@ class BoxTree {
     if (!order_.empty()) descend(0, 0, order_.size(), x, limit, visit);
   }
 
+  // visit(i) for each box i in a node whose box may hold what is looked for.
+  template <class May, class Visit>
+  void where(const May& may, const Visit& visit) const {
+    if (!order_.empty()) descend({0, 0, order_.size()}, may, visit);
+  }
+
   // visit(i, j) for each box i of this tree and box j of another one, placed at R x + t in the frame of this one, that
   // are no farther from each other than a limit [m], as seen along the axes of this one; near ones first. What it
   // returns is the limit from then on. may(k, l): whether anything in the nodes k and l of the two matters.
@@ -93,6 +99,14 @@ class BoxTree {
     const int first = square[1] < square[0] ? 1 : 0;
     for (const int k : {first, 1 - first})
       if (square[k] <= limit * limit) descend(parts[k][0], other, parts[k][1], at, limit, may, visit);
+  }
+
+  template <class May, class Visit>
+  void descend(const Node& node, const May& may, const Visit& visit) const {
+    if (!may(nodes_[node.number])) return;
+    if (node.is_leaf()) return visit(order_[node.first]);
+    descend(node.half(false), may, visit);
+    descend(node.half(true), may, visit);
   }
 
   void build(std::size_t node, std::size_t first, std::size_t last, const std::vector<Box>& boxes);

@@ -13,6 +13,7 @@ struct CommonNormal {
   Vec3 first, second;
   // Along the least curved way the surfaces keep their distance, as a cylinder along another one.
   bool is_flat;
+  int part = 0;  // of the second surface, where that has several
 };
 
 }  // namespace contactvi

@@ -44,9 +44,6 @@ Mat32 tangents(const Vec3& n) {
   return T;
 }
 
-// Of the signed distance from a surface that turns by A at the foot, away from it by f.
-Mat3 curvature_at(const Mat3& A, double f) { return A * (Mat3::Identity() + f * A).inverse(); }
-
 }  // namespace
 
 class CommonNormals::Search {
@@ -137,7 +134,7 @@ class CommonNormals::Search {
 };
 
 bool CommonNormals::foot(const Vec3& point, const Vec3& start, Place& place) const {
-  if (first_.solid != nullptr) return first_.solid->foot_place(point, start, place);
+  if (first_.surface != nullptr) return first_.surface->foot_place(point, start, place);
   place = {point - (first_.normal.dot(point) - first_.offset) * first_.normal, first_.normal, Mat3::Zero()};
   return true;
 }
@@ -147,7 +144,7 @@ bool CommonNormals::foot(const Vec3& point, const Vec3& start, Place& place) con
 bool CommonNormals::is_overlap(const CommonNormal& c) const {
   if (c.gap > -kSideRounding) return true;
   const Vec3 x = placed(c.second);
-  const bool inside = first_.solid != nullptr ? first_.solid->is_inside(x) : first_.normal.dot(x) < first_.offset;
+  const bool inside = first_.surface != nullptr ? first_.surface->is_inside(x) : first_.normal.dot(x) < first_.offset;
   return inside && second_->is_inside(R_.transpose() * (c.first - t_));
 }
 
@@ -168,22 +165,22 @@ bool CommonNormals::bends(const CommonNormal& at, Mat3& first, Mat3& second) con
 
 // Whether normals of two nodes of the trees may be opposite to each other, and along a line between their boxes.
 bool CommonNormals::may_face(std::size_t node, std::size_t other) const {
-  const ImplicitSurface::Cone &a = first_.solid->cones()[node], &b = second_->cones()[other];
+  const SearchedSurface::Cone &a = first_.surface->cones()[node], &b = second_->cones()[other];
   const Vec3 its_axis = R_ * b.axis;
   if (a.angle + b.angle < M_PI && -a.axis.dot(its_axis) < a.cosine * b.cosine - a.sine * b.sine) return false;
-  const BoxTree::Box &own = first_.solid->tree().nodes()[node], &its = second_->tree().nodes()[other];
+  const BoxTree::Box &own = first_.surface->tree().nodes()[node], &its = second_->tree().nodes()[other];
   const Vec3 from = placed(its.center()) - own.center();
   const double distance = from.norm(), reach = 0.5 * (own.diagonal().norm() + its.diagonal().norm());
   if (distance <= reach) return true;
   const double sine = reach / distance, cosine = std::sqrt(1.0 - sine * sine);
-  const auto points = [&](const ImplicitSurface::Cone& cone, const Vec3& axis) {
+  const auto points = [&](const SearchedSurface::Cone& cone, const Vec3& axis) {
     return cone.angle >= 0.5 * M_PI || std::abs(axis.dot(from)) >= (cone.cosine * cosine - cone.sine * sine) * distance;
   };
   return points(a, a.axis) && points(b, its_axis);
 }
 
 // By the ranges of the normals of both: where they are not opposite, or point past the other cell, there is none.
-bool CommonNormals::may_hold(const ImplicitSurface::Part& a, const ImplicitSurface::Part& b, double limit) const {
+bool CommonNormals::may_hold(const SearchedSurface::Part& a, const SearchedSurface::Part& b, double limit) const {
   if (a.spread == kInfinity || b.spread == kInfinity) return true;
   // Spreads are sines of angles below a right one.
   const double between = std::sqrt((1.0 - a.spread * a.spread) * (1.0 - b.spread * b.spread)) - a.spread * b.spread;
@@ -195,7 +192,7 @@ bool CommonNormals::may_hold(const ImplicitSurface::Part& a, const ImplicitSurfa
 }
 
 // By the quadratic surfaces through both cells.
-CommonNormals::Guess CommonNormals::guess(const ImplicitSurface::Part& a, const ImplicitSurface::Part& b,
+CommonNormals::Guess CommonNormals::guess(const SearchedSurface::Part& a, const SearchedSurface::Part& b,
                                           const std::vector<CommonNormal>& found) const {
   if (a.spread == kInfinity || b.spread == kInfinity) return Guess::kPossible;
   const Mat32 T = tangents(a.normal), its = R_.transpose() * T;
@@ -221,7 +218,7 @@ CommonNormals::Guess CommonNormals::guess(const ImplicitSurface::Part& a, const 
 
 // An upper bound on the distance of the surfaces: that of two places in their cells, each the nearest one to the other.
 double CommonNormals::distance_bound() const {
-  const auto nearest = [](const ImplicitSurface& of, Vec3& x) {
+  const auto nearest = [](const SearchedSurface& of, Vec3& x) {
     double least = kInfinity;
     int best = -1;
     of.tree().near(x, kInfinity, [&](int k) {
@@ -235,7 +232,7 @@ double CommonNormals::distance_bound() const {
   Vec3 x = placed(second_->tree().nodes()[0].center());
   double least = kInfinity;
   for (int round = 0; round < kBoundRounds; ++round) {
-    nearest(*first_.solid, x);
+    nearest(*first_.surface, x);
     x = R_.transpose() * (x - t_);
     const double distance = nearest(*second_, x);
     x = placed(x);
@@ -251,7 +248,7 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
   number.clear();
   if (!t_.allFinite() || !R_.allFinite()) return;
   const double own = size();
-  double nearest = first_.solid == nullptr ? kInfinity : distance_bound();
+  double nearest = first_.surface == nullptr ? kInfinity : distance_bound();
   const auto limit = [&] { return std::max({nearest, reach, kDeepest * own}); };
   const auto add = [&](const Search& s, int which) {
     if (!s.found()) return;
@@ -274,19 +271,19 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
     if (!s.at_saddle()) return;
     for (const double sign : {1.0, -1.0}) add(Search(*this, s.first_place(), s.beside(sign), kFarthestSlide * own), -1);
   };
-  const std::vector<ImplicitSurface::Part>& parts = second_->parts();
-  if (first_.solid == nullptr) {
-    for (const ImplicitSurface::Part& b : parts) {
+  const std::vector<SearchedSurface::Part>& parts = second_->parts();
+  if (first_.surface == nullptr) {
+    for (const SearchedSurface::Part& b : parts) {
       const Vec3 y = placed(b.place);
       const double f = first_.normal.dot(y) - first_.offset;
-      const ImplicitSurface::Part a{y - f * first_.normal, first_.normal, Mat3::Zero(), b.reach, 0.0};
+      const SearchedSurface::Part a{y - f * first_.normal, first_.normal, Mat3::Zero(), b.reach, 0.0};
       if (f - b.reach <= limit() && may_hold(a, b, kInfinity) && guess(a, b, found) == Guess::kPossible)
         search(a.place, b.place);
     }
   } else {
     const auto may = [this](std::size_t k, std::size_t l) { return may_face(k, l); };
-    first_.solid->tree().near_pairs(second_->tree(), R_, t_, kInfinity, may, [&](int i, int j) {
-      const ImplicitSurface::Part &a = first_.solid->parts()[static_cast<std::size_t>(i)],
+    first_.surface->tree().near_pairs(second_->tree(), R_, t_, kInfinity, may, [&](int i, int j) {
+      const SearchedSurface::Part &a = first_.surface->parts()[static_cast<std::size_t>(i)],
                                   &b = parts[static_cast<std::size_t>(j)];
       if (may_hold(a, b, limit()) && guess(a, b, found) == Guess::kPossible) search(a.place, b.place);
       return limit();

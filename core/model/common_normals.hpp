@@ -8,9 +8,9 @@
 
 namespace contactvi {
 
-// The first surface: of a solid, or null: the plane normal . x = offset.
+// The first surface: of a solid or a height field, or null: the plane normal . x = offset.
 struct FirstSurface {
-  const ImplicitSurface* solid;
+  const SearchedSurface* surface;
   Vec3 normal;
   double offset;
 };
@@ -40,19 +40,19 @@ class CommonNormals {
 
  private:
   class Search;
-  using Place = ImplicitSurface::Place;
+  using Place = SearchedSurface::Place;
 
   double size() const {
-    return first_.solid == nullptr ? second_->size() : std::min(first_.solid->size(), second_->size());
+    return first_.surface == nullptr ? second_->size() : std::min(first_.surface->size(), second_->size());
   }
   bool foot(const Vec3& point, const Vec3& start, Place& place) const;
   Vec3 placed(const Vec3& x) const { return R_ * x + t_; }
   bool is_overlap(const CommonNormal& c) const;
-  bool may_hold(const ImplicitSurface::Part& a, const ImplicitSurface::Part& b, double limit) const;
+  bool may_hold(const SearchedSurface::Part& a, const SearchedSurface::Part& b, double limit) const;
   double distance_bound() const;
   bool may_face(std::size_t node, std::size_t other) const;
   enum class Guess : std::uint8_t { kNone, kKnown, kPossible };
-  Guess guess(const ImplicitSurface::Part& a, const ImplicitSurface::Part& b,
+  Guess guess(const SearchedSurface::Part& a, const SearchedSurface::Part& b,
               const std::vector<CommonNormal>& found) const;
 
   FirstSurface first_;

@@ -51,6 +51,9 @@ class FunctionSurface {
   // neighbourhood that the distance spans, not everywhere.
   virtual double reliable_share() const = 0;
 
+  // Tells that there is no gap at a point, where bodies may be.
+  void lose(const Vec3& point) const { lost_(point); }
+
  private:
   virtual void find(const Vec3* points, int count, double ball, SurfaceFoot* feet) const = 0;
 

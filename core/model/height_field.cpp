@@ -19,6 +19,17 @@ constexpr double kAtBorder = 1e-9;
 constexpr double kSaddle = -1e-6;
 // [cells] From a saddle the search goes on beside it.
 constexpr double kBeside = 0.2;
+// Places on the border of a cell.
+constexpr int kOnBorder = 8;
+
+SearchedSurface::Place place_on_top(const HeightField::Vec2& u, const HeightField::Height& h) {
+  const Vec3 normal = Vec3(-h.slope[0], -h.slope[1], 1.0).normalized();
+  const Mat3 across = Mat3::Identity() - normal * normal.transpose();
+  Mat3 second = Mat3::Zero();
+  second.topLeftCorner<2, 2>() = h.bend;
+  // The normal (-slope, 1) / length changes along the surface by -P (H dx, 0) / length, P across it.
+  return {Vec3(u[0], u[1], h.f), normal, -normal[2] * across * second * across};
+}
 
 }  // namespace
 
@@ -45,15 +56,9 @@ class HeightField::Search {
     return {distance, from / distance};
   }
 
-  // Of the normal (-slope, 1) / length: along the surface it changes by -P (H dx, 0) / length, P across the normal.
-  Mat3 bend() const {
-    if (on_border()) return Mat3::Constant(kNaN);
-    const Vec3 normal = foot().normal;
-    const Mat3 across = Mat3::Identity() - normal * normal.transpose();
-    Mat3 second = Mat3::Zero();
-    second.topLeftCorner<2, 2>() = height_.bend;
-    return -normal[2] * across * second * across;
-  }
+  Mat3 bend() const { return on_border() ? Mat3(Mat3::Constant(kNaN)) : place().bend; }
+  Place place() const { return place_on_top(at_, height_); }
+  bool is_on_top() const { return !on_border(); }
 
  private:
   // The gradient of the squared distance.
@@ -115,7 +120,7 @@ class HeightField::Search {
 };
 
 HeightField::HeightField(MatX coefficients, const Vec2& corner, const Vec2& spacing, Lost lost)
-    : FunctionSurface(std::move(lost)),
+    : SearchedSurface(spacing.norm(), std::move(lost)),
       coefficients_(std::move(coefficients)),
       low_(corner),
       high_(corner),
@@ -123,9 +128,44 @@ HeightField::HeightField(MatX coefficients, const Vec2& corner, const Vec2& spac
       cells_x_(static_cast<int>(coefficients_.rows()) - 3),
       cells_y_(static_cast<int>(coefficients_.cols()) - 3),
       slopes_(slopes()),
-      boxes_(boxes()),
-      tree_(boxes_) {
+      boxes_(boxes()) {
   high_ += spacing.cwiseProduct(Vec2(cells_x_, cells_y_));
+  std::vector<Part> parts;
+  for (int cell = 0; cell < static_cast<int>(boxes_.size()); ++cell) parts.push_back(part_in(cell));
+  set_parts(boxes_, std::move(parts));
+  border_ = places_on_border();
+}
+
+// Directions of normals by the slopes are a central projection, in which a cone of normals is convex: in a rectangle of
+// slopes they differ most at a corner.
+HeightField::Part HeightField::part_in(int cell) const {
+  const Vec2 u = middle_of(cell);
+  const Height h = at(u);
+  const Place middle = place_on_top(u, h);
+  const BoxTree::Box& box = boxes_[static_cast<std::size_t>(cell)];
+  const Slopes& slopes = slopes_[static_cast<std::size_t>(cell)];
+  double reach = 0.0, spread = 0.0;
+  for (int c = 0; c < 8; ++c) {
+    reach = std::max(reach, (box.corner(static_cast<BoxTree::Box::CornerType>(c)) - middle.at).norm());
+    const Vec3 normal(c % 2 == 0 ? -slopes.least[0] : -slopes.most[0],
+                      c / 2 % 2 == 0 ? -slopes.least[1] : -slopes.most[1], 1.0);
+    spread = std::max(spread, middle.normal.cross(normal.normalized()).norm());
+    if (!(middle.normal.dot(normal) > 0.0)) spread = kInfinity;
+  }
+  return {middle.at, middle.normal, middle.bend, reach, spread < kMostSpread ? spread : kInfinity};
+}
+
+std::vector<Vec3> HeightField::places_on_border() const {
+  std::vector<Vec3> places;
+  const int count[2] = {kOnBorder * cells_x_, kOnBorder * cells_y_};
+  for (int axis = 0; axis < 2; ++axis)
+    for (int k = 0; k <= count[axis]; ++k)
+      for (const Vec2& end : {low_, high_}) {
+        Vec2 u = end;
+        u[axis] = low_[axis] + (high_[axis] - low_[axis]) * k / count[axis];
+        places.emplace_back(u[0], u[1], at(held(u)).f);
+      }
+  return places;
 }
 
 // Cell i, j is number i cells_y + j; within it the height is between the least and the largest of its coefficients.
@@ -256,7 +296,7 @@ void HeightField::all_feet(const Vec3& point, double reach, std::vector<SurfaceF
     found.push_back(s);
   };
   search(point.head<2>());
-  tree_.near(point, limit(), [&](int cell) {
+  tree().near(point, limit(), [&](int cell) {
     const bool known = std::any_of(found.begin(), found.end(), [&](const Search& s) { return holds(cell, s.at()); });
     if (!may_hold(cell, point)) return limit();
     if (!known) search(middle_of(cell));
@@ -279,6 +319,14 @@ SurfaceFoot HeightField::foot_near(const Vec3& point, const Vec3& place) const {
   if (!point.allFinite() || beside(point, foot)) return foot;
   const Search s(*this, point, place.head<2>());
   return s.found() ? s.foot() : foot;
+}
+
+bool HeightField::foot_place(const Vec3& point, const Vec3& start, Place& foot) const {
+  if (!point.allFinite() || !start.allFinite()) return false;
+  const Search s(*this, point, start.head<2>());
+  if (!s.found() || !s.is_on_top()) return false;
+  foot = s.place();
+  return true;
 }
 
 Mat3 HeightField::bend(const Vec3& point, const Vec3& place) const {

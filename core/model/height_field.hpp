@@ -3,8 +3,7 @@
 
 #include <vector>
 
-#include "model/box_tree.hpp"
-#include "model/function_surface.hpp"
+#include "model/searched_surface.hpp"
 
 namespace contactvi {
 
@@ -16,7 +15,7 @@ namespace contactvi {
 // damping, held to the rectangle (Bertsekas, "Projected Newton methods", SIAM J. Control Optim. 20, 1982), from the
 // middle of each cell whose box is near enough to matter and whose slopes may hold a foot. A foot on the border of the
 // top is one of an edge. Beside the block, and lower than its border there, the foot is on the side.
-class HeightField final : public FunctionSurface {
+class HeightField final : public SearchedSurface {
  public:
   using Vec2 = Eigen::Vector2d;
   using Mat2 = Eigen::Matrix2d;
@@ -26,10 +25,16 @@ class HeightField final : public FunctionSurface {
   HeightField(MatX coefficients, const Vec2& corner, const Vec2& spacing, Lost lost);
 
   Mat3 bend(const Vec3& point, const Vec3& place) const override;
-  double reliable_share() const override { return 1.0; }
-  bool knows_all_feet() const override { return true; }
   void all_feet(const Vec3& point, double reach, std::vector<SurfaceFoot>& feet) const override;
   SurfaceFoot foot_near(const Vec3& point, const Vec3& place) const override;
+  // Of feet on the top, not on its border.
+  bool foot_place(const Vec3& point, const Vec3& start, Place& foot) const override;
+  bool is_inside(const Vec3& point) const override { return !is_outside(point); }
+  // The rectangle of the top, and places all along its border.
+  const Vec2& low() const { return low_; }
+  const Vec2& high() const { return high_; }
+  const std::vector<Vec3>& border() const { return border_; }
+  double highest() const { return tree().nodes()[0].max()[2]; }
 
   struct Height {
     double f;
@@ -59,13 +64,15 @@ class HeightField final : public FunctionSurface {
   std::vector<Vec2> border_starts(int cell, const Vec2& u) const;
   std::vector<BoxTree::Box> boxes() const;
   std::vector<Slopes> slopes() const;
+  Part part_in(int cell) const;
+  std::vector<Vec3> places_on_border() const;
 
   MatX coefficients_;
   Vec2 low_, high_, spacing_;
   int cells_x_, cells_y_;
   std::vector<Slopes> slopes_;  // of each cell
   std::vector<BoxTree::Box> boxes_;
-  BoxTree tree_;
+  std::vector<Vec3> border_;
 };
 
 }  // namespace contactvi

@@ -20,11 +20,10 @@ constexpr double kBack = 1e-9;
 constexpr double kLongest = 1.0, kFarthestCells = 4.0;
 // With a lower curvature of the squared distance a place is a saddle and no foot.
 constexpr double kSolidSaddle = -1e-6;
-// Normals in a cell differ from that in its middle by no more than this times the largest difference at its corners; of
-// those that differ by much nothing is concluded.
-constexpr double kMoreSpread = 1.5, kMostSpread = 0.7;
+// Normals in a cell differ from that in its middle by no more than this times the largest difference at its corners.
+constexpr double kMoreSpread = 1.5;
 
-ImplicitSurface::Place place_of(const Vec3& at, const LevelSet::Value& v) {
+SearchedSurface::Place place_of(const Vec3& at, const LevelSet::Value& v) {
   const double length = v.gradient.norm();
   const Vec3 normal = v.gradient / length;
   const Mat3 across = Mat3::Identity() - normal * normal.transpose();
@@ -48,7 +47,7 @@ class ImplicitSurface::Search {
   SurfaceFoot foot() const { return {normal_.dot(x_ - at_), normal_}; }
   Place place() const { return place_of(at_, value_); }
   // A place beside a saddle.
-  Vec3 beside() const { return at_ + 0.3 * surface_->size_ * any_tangent(normal_); }
+  Vec3 beside() const { return at_ + 0.3 * surface_->size() * any_tangent(normal_); }
 
  private:
   enum class State : std::uint8_t { kSearches, kFound, kFailed };
@@ -87,7 +86,7 @@ class ImplicitSurface::Search {
     is_saddle_ = least < kSolidSaddle;
     if (damping_ > 0.0 || !(least > 0.0)) hessian.diagonal().array() += std::max(damping_, kFirstDamping - least);
     Vec2 s = -hessian.inverse() * (T.transpose() * from);
-    const double length = s.norm(), longest = kLongest * surface_->size_;
+    const double length = s.norm(), longest = kLongest * surface_->size();
     if (length > longest) s *= longest / length;
     last_ = length <= kLast * std::sqrt(square_) + kLastLength;
     return at_ + T * s;
@@ -108,9 +107,9 @@ bool ImplicitSurface::back(Vec3& p, LevelSet::Value& v) const {
     const double square = v.gradient.squaredNorm();
     if (!std::isfinite(v.f) || !(square > 0.0)) return false;
     const Vec3 step = v.f / square * v.gradient;
-    const double longest = kLongest * size_, length = step.norm();
+    const double longest = kLongest * size(), length = step.norm();
     p -= length > longest ? Vec3(longest / length * step) : step;
-    if (length > kBack * size_) continue;
+    if (length > kBack * size()) continue;
     v = value(p);
     return std::isfinite(v.f);
   }
@@ -119,34 +118,20 @@ bool ImplicitSurface::back(Vec3& p, LevelSet::Value& v) const {
 
 ImplicitSurface::ImplicitSurface(std::unique_ptr<const LevelSet> level, bool inverse, const BoxTree::Box& box,
                                  const Eigen::Vector3i& cells, Lost lost)
-    : FunctionSurface(std::move(lost)),
+    : SearchedSurface(box.sizes().cwiseQuotient(cells.cast<double>()).norm(), std::move(lost)),
       level_(std::move(level)),
       sign_(inverse ? -1.0 : 1.0),
-      size_(box.sizes().cwiseQuotient(cells.cast<double>()).norm()),
-      boxes_(passed(box, cells)),
-      tree_(boxes_) {
-  for (const BoxTree::Box& cell : boxes_) parts_.push_back(part_in(cell));
-  cones_.resize(tree_.nodes().size());
-  tree_.each_node([this](std::size_t node, const int* first, const int* last) {
-    Vec3 sum = Vec3::Zero();
-    for (const int* k = first; k != last; ++k) sum += parts_[static_cast<std::size_t>(*k)].normal;
-    Cone cone{sum.normalized(), sum.norm() > 0.0 ? 0.0 : M_PI, 0.0, 0.0};
-    for (const int* k = first; k != last && cone.angle < M_PI; ++k) {
-      const Part& part = parts_[static_cast<std::size_t>(*k)];
-      const double apart = std::acos(std::clamp(cone.axis.dot(part.normal), -1.0, 1.0));
-      cone.angle = std::max(cone.angle, part.spread < 1.0 ? apart + std::asin(part.spread) : M_PI);
-    }
-    cone.cosine = std::cos(cone.angle);
-    cone.sine = std::sin(cone.angle);
-    cones_[node] = cone;
-  });
+      boxes_(passed(box, cells)) {
+  std::vector<Part> parts;
+  for (const BoxTree::Box& cell : boxes_) parts.push_back(part_in(cell));
+  set_parts(boxes_, std::move(parts));
 }
 
-ImplicitSurface::Part ImplicitSurface::part_in(const BoxTree::Box& cell) const {
+SearchedSurface::Part ImplicitSurface::part_in(const BoxTree::Box& cell) const {
   Place place;
   // Where the way to the surface is not found no range is known.
   if (!onto(cell.center(), place)) place = place_of(cell.center(), value(cell.center()));
-  Part part{place.at, place.normal, place.bend, 0.5 * size_ + (place.at - cell.center()).norm(), 0.0};
+  Part part{place.at, place.normal, place.bend, 0.5 * size() + (place.at - cell.center()).norm(), 0.0};
   for (int c = 0; c < 8; ++c) {
     const Vec3 normal = value(cell.corner(static_cast<BoxTree::Box::CornerType>(c))).gradient.normalized();
     const double sine = kMoreSpread * part.normal.cross(normal).norm();
@@ -202,12 +187,12 @@ void ImplicitSurface::all_feet(const Vec3& point, double reach, std::vector<Surf
   std::vector<Search> found;
   double nearest = kInfinity;
   const auto limit = [&] { return std::max(nearest, reach); };
-  tree_.near(point, kInfinity, [&](int cell) {
+  tree().near(point, kInfinity, [&](int cell) {
     const BoxTree::Box& box = boxes_[static_cast<std::size_t>(cell)];
-    if (!may_hold(parts_[static_cast<std::size_t>(cell)], point, limit())) return limit();
+    if (!may_hold(parts()[static_cast<std::size_t>(cell)], point, limit())) return limit();
     if (std::any_of(found.begin(), found.end(), [&](const Search& s) { return box.contains(s.at()); })) return limit();
-    Search s(*this, point, box.center(), kFarthestCells * size_);
-    if (s.at_saddle()) s = Search(*this, point, s.beside(), kFarthestCells * size_);
+    Search s(*this, point, box.center(), kFarthestCells * size());
+    if (s.at_saddle()) s = Search(*this, point, s.beside(), kFarthestCells * size());
     if (!s.found()) return limit();
     const double distance = std::sqrt(s.square()), same = kOneFoot * distance + kOneFootLength;
     nearest = std::min(nearest, distance);

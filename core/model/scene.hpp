@@ -20,6 +20,7 @@ namespace contactvi {
 struct PublicModel;
 struct ShapeFeatures;
 class FunctionSurface;
+class HeightField;
 class ImplicitSurface;
 class PairTable;
 class RoundedHulls;
@@ -47,8 +48,10 @@ struct Geometry {
   std::shared_ptr<const OnDemand<ShapeFeatures>> sharp_features, rounded_features;
   // In the geometry's frame, in the place of a halfspace; null: none.
   std::shared_ptr<const FunctionSurface> surface;
-  // Its surface as a level set: of such a surface, and of an ellipsoid that meets one; null: none.
+  // Its surface as a level set: of such a surface, and of an ellipsoid that meets one or a field; null: none.
   std::shared_ptr<const ImplicitSurface> solid;
+  // As a smooth height field; null: it is none.
+  std::shared_ptr<const HeightField> field;
   // Whether it has a bounding sphere although it stands in the place of a halfspace.
   bool is_bounded() const { return !unbounded || reaches; }
   bool reaches = false;

@@ -312,6 +312,6 @@ def test_what_is_refused() -> None:
     with pytest.raises(UserFunctionError):
         scene.add_solid("a", lambda p: p, [(-0.6, 0.6), (-0.8, 0.8), (-0.3, 0.3)], 0.05)
     scene.add_torus("ring", RING, TUBE)
-    scene.add_cylinder("can", 0.1, 0.2, placement=(0.0, 0.0, 1.0))
+    scene.add_surface("ground", height=lambda p: 0.0 * p[:, 0])
     with pytest.raises(SceneError, match="no contact"):
         scene.core()

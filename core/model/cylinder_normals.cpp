@@ -1,0 +1,396 @@
+#include "model/cylinder_normals.hpp"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+
+#include "base/numerics.hpp"
+#include "model/foot_search.hpp"
+
+namespace contactvi {
+
+namespace {
+
+using namespace cylinder_part;  // NOLINT: the parts are named all over
+using Vec2 = Eigen::Vector2d;
+using Mat2 = Eigen::Matrix2d;
+using Mat32 = Eigen::Matrix<double, 3, 2>;
+
+constexpr int kPlaceRounds = 40, kBoundRoundsOfCylinder = 8;
+// Of the size: as those of CommonNormals. Cells that are no farther from the cylinder may hold an overlap; no longer
+// step, and no longer way of a search; the last step; equal distances.
+constexpr double kDeepestPlace = 0.1, kLongestTurn = 1.0, kFarthestTurn = 4.0, kLastTurn = 1e-9, kSamePlaceGap = 1e-14;
+// Times the size: lower curvatures count as this much in a step, and as flat in what is found; lower ones are saddles.
+constexpr double kFlatPlace = 1e-4, kSaddlePlace = -1e-6;
+constexpr double kSideOfSurface = 1e-9;  // [m] gaps that are this near to zero are known to rounding
+constexpr double kSkew = 1e-6;           // sine of the angle between the normals, from which on they are not opposite
+// Of the size: places that are no farther from each other are one; along a flat way.
+constexpr double kOnePlace = 1e-6, kOneFlatPlace = 0.5;
+// [rad] By how much a normal may lie beyond those of a rim, and [m] a place beyond the border of a part.
+constexpr double kBeyondCone = 1e-9, kBeyondPart = 6e-9;
+// Sine of the tilt from which on the other side of a rim cannot come down before the points are found again; and up to
+// which a rim may lie flat: then its distances, by which that is decided, differ by less than this [m].
+constexpr double kAboutFlat = 0.1, kMayBeFlat = 1e-9, kFlatRim = 4e-11;
+// [m] A rim that lies flat to this, as found before, has become one that touches by its fixed points.
+constexpr double kLiesFlat = 1e-11;
+
+}  // namespace
+
+double CylinderNormals::size() const { return std::min({surface_->size(), cylinder_.radius, cylinder_.half}); }
+
+double CylinderNormals::distance(const Vec3& point) const {
+  const Vec3 x = local(point);
+  return std::hypot(std::max(0.0, x.head<2>().norm() - cylinder_.radius),
+                    std::max(0.0, std::abs(x[2]) - cylinder_.half));
+}
+
+double CylinderNormals::inside(const Vec3& point) const {
+  const Vec3 x = local(point);
+  return std::min(cylinder_.radius - x.head<2>().norm(), cylinder_.half - std::abs(x[2]));
+}
+
+// On one part, which goes on beyond its borders.
+class CylinderNormals::Search {
+ public:
+  // From a place p near the surface and x near the part, each in its own frame.
+  Search(const CylinderNormals& of, int part, const Vec3& p, const Vec3& x, double farthest) : of_(of), part_(part) {
+    if (!p.allFinite() || !x.allFinite() || !set(p, x)) return;
+    const Vec3 start = x_;
+    choose_step();
+    for (int round = 0; round < kPlaceRounds && !ends_; ++round) {
+      const Vec3 next = x_ + T_ * step_;
+      if (last_) ends_ = true;
+      if (!set(p_.at, next)) {
+        damping_ = std::max(kFirstDamping * stiffest_, kMore * damping_);
+        if (damping_ > 1e8 * stiffest_) return;
+      } else {
+        damping_ = damping_ * kLess < kNoDamping * stiffest_ ? 0.0 : damping_ * kLess;
+      }
+      if ((x_ - start).norm() > farthest) return;
+      choose_step();
+    }
+    found_ = (ends_ || settled_) && skew_ <= kSkew;
+  }
+
+  bool found() const { return found_ && least_ * of_.size() >= kSaddlePlace; }
+  bool at_saddle() const { return found_ && !(least_ * of_.size() >= kSaddlePlace); }
+  Vec3 beside(double sign) const { return x_ + sign * 0.3 * of_.size() * (T_ * softest_); }
+  const Place& place() const { return p_; }
+  const Vec3& at() const { return x_; }
+  int part() const { return part_; }
+  // The outward normal that the cylinder needs there, in its frame.
+  Vec3 outward() const { return -(of_.R_.transpose() * p_.normal); }
+  // Of the signed distance of the surface, in the frame of the cylinder.
+  Mat3 hessian() const { return of_.R_.transpose() * curvature_at(p_.bend, f_) * of_.R_; }
+  CommonNormal result() const { return {f_, p_.normal, p_.at, x_, least_ * of_.size() < kFlatPlace, part_}; }
+
+ private:
+  Vec3 onto(const Vec3& x) const {
+    if (is_end(part_)) return {x[0], x[1], of_.height(part_)};
+    if (is_rim_point(part_)) return x;
+    const double scale = of_.cylinder_.radius / x.head<2>().norm();
+    return {scale * x[0], scale * x[1], part_ == kSide ? x[2] : of_.height(part_)};
+  }
+
+  bool set(const Vec3& p, const Vec3& near_x) {
+    const Vec3 x = onto(near_x), y = of_.placed(x);
+    Place foot;
+    if (!x.allFinite() || !of_.surface_->foot_place(y, p, foot)) return false;
+    const double f = foot.normal.dot(y - foot.at),
+                 rounding = kSamePlaceGap * of_.size() + kSquareRounding * std::abs(f);
+    if (!(ends_ || f <= f_ + rounding)) return false;
+    settled_ = std::abs(f - f_) <= rounding;
+    f_ = f;
+    p_ = foot;
+    x_ = x;
+    return true;
+  }
+
+  void choose_step() {
+    const double size = of_.size(), flat = kFlatPlace / size;
+    const Vec3 m = outward(), radial(x_[0] / of_.cylinder_.radius, x_[1] / of_.cylinder_.radius, 0.0);
+    T_.setZero();
+    // Along the circle, and across it; of what is one place or one line alone nothing across it.
+    const bool round = !is_end(part_);
+    T_.col(0) = round ? Vec3(-radial[1], radial[0], 0.0) : Vec3(Vec3::UnitX());
+    T_.col(1) = round ? Vec3(Vec3::UnitZ()) : Vec3(Vec3::UnitY());
+    const int ways = is_rim_point(part_) ? 0 : is_rim(part_) ? 1 : 2;
+    Vec2 gradient = -T_.transpose() * m;
+    Mat2 second = T_.transpose() * hessian() * T_;
+    if (round) second(0, 0) += m.dot(radial) / of_.cylinder_.radius;
+    for (int k = ways; k < 2; ++k) {
+      gradient[k] = second(0, 1) = second(1, 0) = 0.0;
+      second(k, k) = 1e3 * (std::abs(second(0, 0)) + flat);
+    }
+    const Eigen::SelfAdjointEigenSolver<Mat2> eigen(second);
+    const Vec2 values = eigen.eigenvalues();
+    least_ = values[0];
+    softest_ = eigen.eigenvectors().col(0);
+    skew_ = gradient.norm();
+    stiffest_ = std::max(values.cwiseAbs().maxCoeff(), flat);
+    const Vec2 along = eigen.eigenvectors().transpose() * gradient, positive = values.cwiseAbs().cwiseMax(flat);
+    last_ = along.cwiseQuotient(positive).norm() <= kLastTurn * size;
+    step_ = -eigen.eigenvectors() * along.cwiseQuotient(positive + Vec2::Constant(damping_));
+    const double length = step_.norm(), longest = kLongestTurn * size;
+    if (length > longest) step_ *= longest / length;
+  }
+
+  const CylinderNormals& of_;
+  int part_;
+  Place p_{};
+  Vec3 x_ = Vec3::Zero();
+  double f_ = kInfinity;
+  Mat32 T_ = Mat32::Zero();
+  Vec2 step_ = Vec2::Zero(), softest_ = Vec2::UnitX();
+  double damping_ = 0.0, least_ = 0.0, stiffest_ = 1.0, skew_ = kInfinity;
+  bool last_ = false, ends_ = false, settled_ = false, found_ = false;
+};
+
+// Whether both places lie in the other solid, where the gap is negative: a side of one that is seen through it has such
+// a gap, too.
+bool CylinderNormals::is_overlap(const CommonNormal& c) const {
+  if (c.gap > -kSideOfSurface) return true;
+  return surface_->is_inside(placed(c.second)) && inside(c.first) > 0.0;
+}
+
+bool CylinderNormals::near(const CommonNormal& known, CommonNormal& found) const {
+  if (!t_.allFinite() || !R_.allFinite()) return false;
+  const Search s(*this, known.part, known.first, known.second, kInfinity);
+  if (s.found()) found = s.result();
+  return s.found();
+}
+
+bool CylinderNormals::bend(const CommonNormal& at, Mat3& first) const {
+  const Search s(*this, at.part, at.first, at.second, kInfinity);
+  if (s.found()) first = s.place().bend;
+  return s.found();
+}
+
+std::array<CylinderNormals::Border, 2> CylinderNormals::borders(const Search& s) const {
+  const Vec3 m = s.outward(), axis(0.0, 0.0, height(s.part()) > 0.0 ? 1.0 : -1.0),
+             radial(s.at()[0] / cylinder_.radius, s.at()[1] / cylinder_.radius, 0.0);
+  const Mat3 hessian = s.hessian();
+  return {{{m.dot(axis), axis.dot(hessian * axis)}, {m.dot(radial), radial.dot(hessian * radial)}}};
+}
+
+double CylinderNormals::depth(const CommonNormal& c) const {
+  if (c.part == kSide) return cylinder_.half - std::abs(c.second[2]);
+  if (is_end(c.part)) return cylinder_.radius - c.second.head<2>().norm();
+  const double tilt = cylinder_.radius * (R_.transpose() * c.normal).head<2>().norm();
+  if (is_rim_point(c.part)) return tilt <= kFlatRim ? kInfinity : -kInfinity;
+  if (c.is_flat && tilt <= kLiesFlat) return -kInfinity;
+  const Search s(*this, c.part, c.first, c.second, kInfinity);
+  if (!s.found()) return -kInfinity;
+  double depth = kInfinity;
+  for (const Border& border : borders(s))
+    if (border.bend > kFlatPlace / size()) depth = std::min(depth, border.inside * size());
+  return depth;
+}
+
+// Whether a place is beyond the border of its part; of one on a rim, whether the distance falls from it to one on the
+// side or the end nearby.
+bool CylinderNormals::is_beyond(const Search& s) const {
+  if (!is_rim(s.part())) return depth(s.result()) < -kBeyondPart;
+  const auto borders = this->borders(s);
+  return std::any_of(borders.begin(), borders.end(), [this](const Border& b) {
+    return b.bend > kFlatPlace / size() && b.inside < -kBeyondCone && -b.inside < kOneFlatPlace * size() * b.bend;
+  });
+}
+
+bool CylinderNormals::across(const CommonNormal& of_rim, CommonNormal& found) const {
+  const Vec3 m = R_.transpose() * of_rim.normal;
+  if (m.head<2>().norm() > kAboutFlat) return false;
+  const Vec3 x(-of_rim.second[0], -of_rim.second[1], of_rim.second[2]);
+  const Vec3 y = placed(x);
+  Place foot;
+  if (!surface_->foot_place(y, y - of_rim.gap * of_rim.normal, foot)) return false;
+  found = {foot.normal.dot(y - foot.at), foot.normal, foot.at, x, false, of_rim.part};
+  return true;
+}
+
+// An upper bound on the distance from the surface: that of a place in one of its cells.
+double CylinderNormals::distance_bound() const {
+  Vec3 x = t_;
+  double least = kInfinity;
+  for (int round = 0; round < kBoundRoundsOfCylinder; ++round) {
+    double nearest = kInfinity;
+    Vec3 place = x;
+    surface_->tree().near(x, kInfinity, [&](int k) {
+      const Vec3& p = surface_->parts()[static_cast<std::size_t>(k)].place;
+      const double away = (p - x).norm();
+      if (away < nearest) place = p;
+      return nearest = std::min(nearest, away);
+    });
+    const double away = distance(place);
+    if (!(away < least)) break;
+    least = away;
+    const Vec3 own = local(place);
+    const double out = own.head<2>().norm(), scale = out > cylinder_.radius ? cylinder_.radius / out : 1.0;
+    x = placed({scale * own[0], scale * own[1], std::clamp(own[2], -cylinder_.half, cylinder_.half)});
+  }
+  return least * (1.0 + kSquareRounding);
+}
+
+// Places on a part from which the distance may fall to a common normal with a cell: none where its normals, or how far
+// it is, leave none.
+void CylinderNormals::starts_at(int part, const Part& cell, double limit, std::vector<Vec3>& starts) const {
+  starts.clear();
+  const Vec3 w = local(cell.place), n = R_.transpose() * cell.normal;
+  const Vec2 aside = w.head<2>(), away = n.head<2>();
+  const double out = aside.norm(), along = std::abs(w[2]), R = cylinder_.radius, H = cylinder_.half;
+  const double spread = std::min(1.0, cell.spread), room = cell.reach + limit;
+  const Vec2 toward = out > 0.0 ? Vec2(aside / out) : Vec2(Vec2::UnitX());
+  // By how much a place in the cell may lie beside the plane of the axis and its normal.
+  const double beside = std::abs(w[0] * n[1] - w[1] * n[0]), most = cell.reach + (out + cell.reach) * spread;
+  if (part == kSide) {
+    if (std::abs(n[2]) > spread || along > H + room || std::abs(out - R) > room || beside > most) return;
+    const Vec2 u = away.norm() > 0.1 ? Vec2(-away.normalized()) : toward;
+    starts.emplace_back(R * u[0], R * u[1], std::clamp(w[2], -H, H));
+  } else if (is_end(part)) {
+    const double z = height(part);
+    if (away.norm() > spread || n[2] * z > spread * H || out > R + room || std::abs(w[2] - z) > room) return;
+    const double scale = out > R ? R / out : 1.0;
+    starts.emplace_back(scale * w[0], scale * w[1], z);
+  } else {
+    const double z = height(part);
+    if (std::hypot(out - R, w[2] - z) > room || beside > most) return;
+    starts.emplace_back(R * toward[0], R * toward[1], z);
+    if (out < cell.reach + 0.5 * R || limit > R) starts.emplace_back(-R * toward[0], -R * toward[1], z);
+    if (cell.reach > R)
+      for (const double sign : {1.0, -1.0}) starts.emplace_back(-sign * R * toward[1], sign * R * toward[0], z);
+    if (away.norm() > 0.1 && -away.normalized().dot(toward) < 0.7) {
+      const Vec2 u = -away.normalized();
+      starts.emplace_back(R * u[0], R * u[1], z);
+    }
+  }
+}
+
+bool CylinderNormals::rim_point(int rim, int k, const CommonNormal& next_to, CommonNormal& found) const {
+  const double angle = kTwoPi * k / kRimPointsOfPart;
+  const Vec3 x(cylinder_.radius * std::cos(angle), cylinder_.radius * std::sin(angle),
+               rim == 0 ? -cylinder_.half : cylinder_.half);
+  const Vec3 y = placed(x);
+  const Search s(*this, kFirstRimPoint + rim * kRimPointsOfPart + k, y - next_to.gap * next_to.normal, x, kInfinity);
+  if (s.found()) found = s.result();
+  return s.found();
+}
+
+// A rim on which the distance is the same all around touches by fixed points.
+void CylinderNormals::replace_flat_rims(std::vector<CommonNormal>& found, std::vector<int>& number) const {
+  for (int rim = 0; rim < 2; ++rim) {
+    const auto on_rim = [rim](const CommonNormal& c) { return is_rim(c.part) && rim_of(c.part) == rim; };
+    const auto one = std::find_if(found.begin(), found.end(), [&](const CommonNormal& c) {
+      return on_rim(c) &&
+             (R_.transpose() * c.normal).head<2>().norm() <= std::max(kMayBeFlat, kFlatRim / cylinder_.radius);
+    });
+    if (one == found.end()) continue;
+    const CommonNormal start = *one;
+    std::vector<CommonNormal> points(kRimPointsOfPart);
+    double least = kInfinity, most = -kInfinity;
+    for (int k = 0; k < kRimPointsOfPart && !(most - least > kFlatRim); ++k) {
+      if (!rim_point(rim, k, start, points[static_cast<std::size_t>(k)])) {
+        most = kInfinity;
+        break;
+      }
+      least = std::min(least, points[static_cast<std::size_t>(k)].gap);
+      most = std::max(most, points[static_cast<std::size_t>(k)].gap);
+    }
+    if (!(most - least <= kFlatRim)) continue;
+    std::size_t kept = 0;
+    for (std::size_t k = 0; k < found.size(); ++k) {
+      if (on_rim(found[k]) || rim_of(found[k].part) == rim) continue;
+      found[kept] = found[k];
+      number[kept++] = number[k];
+    }
+    found.resize(kept);
+    number.resize(kept);
+    for (const CommonNormal& c : points) {
+      found.push_back(c);
+      number.push_back(-1);
+    }
+  }
+}
+
+// Whether a place on the side, or on an end, that is as near as all around it lies between places on rims that are, too.
+bool CylinderNormals::is_spanned(const CommonNormal& c, const std::vector<CommonNormal>& found) const {
+  if (!c.is_flat || is_rim(c.part)) return false;
+  if (is_end(c.part))
+    return std::any_of(found.begin(), found.end(), [&](const CommonNormal& o) {
+      return is_rim_point(o.part) && rim_of(o.part) == c.part - kLowEnd && o.gap <= c.gap + kFlatRim;
+    });
+  const auto ends_at = [&](int rim) {
+    return std::any_of(found.begin(), found.end(), [&](const CommonNormal& o) {
+      return o.part == rim && std::abs(o.gap - c.gap) <= kFlatRim &&
+             (o.second - c.second).head<2>().norm() <= kOneFlatPlace * size();
+    });
+  };
+  return c.part == kSide && ends_at(kLowRim) && ends_at(kHighRim);
+}
+
+void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, std::vector<CommonNormal>& found,
+                          std::vector<int>& number) const {
+  found.clear();
+  number.clear();
+  if (!t_.allFinite() || !R_.allFinite()) return;
+  const double own = size();
+  double nearest = distance_bound();
+  const auto limit = [&] { return std::max({nearest, reach, kDeepestPlace * own}); };
+  const auto add = [&](const Search& s, int which) {
+    if (!s.found()) return;
+    const CommonNormal c = s.result();
+    // Of the side and the ends the surface is on their outer side.
+    const Vec3 m = s.outward();
+    if (c.part == kSide && !(m.head<2>().dot(c.second.head<2>()) > 0.0)) return;
+    if (is_end(c.part) && !(m[2] * c.second[2] > 0.0)) return;
+    if (!is_overlap(c) || is_beyond(s)) return;
+    nearest = std::min(nearest, c.gap);
+    const bool is_new = std::none_of(found.begin(), found.end(), [&](const CommonNormal& o) {
+      const double same = own * (c.is_flat && o.is_flat ? kOneFlatPlace : kOnePlace);
+      return o.part == c.part && (o.second - c.second).norm() <= same && (o.first - c.first).norm() <= same;
+    });
+    if (!is_new) return;
+    found.push_back(c);
+    number.push_back(which);
+  };
+  for (std::size_t k = 0; k < known.size(); ++k)
+    add(Search(*this, known[k].part, known[k].first, known[k].second, kInfinity), static_cast<int>(k));
+  std::vector<Vec3> starts;
+  const auto look = [&](const Part& cell) {
+    for (int part = kLowRim; part <= kHighEnd; ++part) {
+      starts_at(part, cell, limit(), starts);
+      for (const Vec3& x : starts) {
+        const bool is_known = std::any_of(found.begin(), found.end(), [&](const CommonNormal& c) {
+          return c.part == part && !c.is_flat && (c.first - cell.place).norm() <= cell.reach &&
+                 (c.second - x).norm() <= cell.reach + own;
+        });
+        if (is_known) continue;
+        const Search s(*this, part, cell.place, x, kFarthestTurn * own + cell.reach);
+        add(s, -1);
+        if (!s.at_saddle()) continue;
+        for (const double sign : {1.0, -1.0})
+          add(Search(*this, part, s.place().at, s.beside(sign), kFarthestTurn * own + cell.reach), -1);
+      }
+    }
+  };
+  surface_->tree().where(
+      [&](const BoxTree::Box& box) { return distance(box.center()) - 0.5 * box.diagonal().norm() <= limit(); },
+      [&](int k) {
+        const Part& cell = surface_->parts()[static_cast<std::size_t>(k)];
+        if (distance(cell.place) - cell.reach <= limit()) look(cell);
+      });
+  replace_flat_rims(found, number);
+  // Of those that were found before a nearer one was, only the ones within reach.
+  nearest = kInfinity;
+  for (const CommonNormal& c : found) nearest = std::min(nearest, c.gap);
+  const std::vector<CommonNormal> all_found = found;
+  std::size_t kept = 0;
+  for (std::size_t k = 0; k < found.size(); ++k) {
+    if (found[k].gap > std::max(reach, nearest) || (number[k] < 0 && is_spanned(found[k], all_found))) continue;
+    found[kept] = found[k];
+    number[kept++] = number[k];
+  }
+  found.resize(kept);
+  number.resize(kept);
+}
+
+}  // namespace contactvi
