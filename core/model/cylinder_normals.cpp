@@ -16,10 +16,12 @@ using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 using Mat32 = Eigen::Matrix<double, 3, 2>;
 
+// Times the reach of a cell: beyond this way another cell has searches of its own.
+constexpr double kFarthestFromCell = 2.0;
 constexpr int kPlaceRounds = 40, kBoundRoundsOfCylinder = 8;
 // Of the size: as those of CommonNormals. Cells that are no farther from the cylinder may hold an overlap; no longer
-// step, and no longer way of a search; the last step; equal distances.
-constexpr double kDeepestPlace = 0.1, kLongestTurn = 1.0, kFarthestTurn = 4.0, kLastTurn = 1e-9, kSamePlaceGap = 1e-14;
+// step; the last step; equal distances.
+constexpr double kDeepestPlace = 0.1, kLongestTurn = 1.0, kLastTurn = 1e-9, kSamePlaceGap = 1e-14;
 // Times the size: lower curvatures count as this much in a step, and as flat in what is found; lower ones are saddles.
 constexpr double kFlatPlace = 1e-4, kSaddlePlace = -1e-6;
 constexpr double kSideOfSurface = 1e-9;  // [m] gaps that are this near to zero are known to rounding
@@ -52,10 +54,9 @@ double CylinderNormals::inside(const Vec3& point) const {
 // On one part, which goes on beyond its borders.
 class CylinderNormals::Search {
  public:
-  // From a place p near the surface and x near the part, each in its own frame.
+  // From a place p near the surface and x near the part, each in its own frame; no farther from p than this.
   Search(const CylinderNormals& of, int part, const Vec3& p, const Vec3& x, double farthest) : of_(of), part_(part) {
     if (!p.allFinite() || !x.allFinite() || !set(p, x)) return;
-    const Vec3 start = x_;
     choose_step();
     for (int round = 0; round < kPlaceRounds && !ends_; ++round) {
       const Vec3 next = x_ + T_ * step_;
@@ -66,7 +67,7 @@ class CylinderNormals::Search {
       } else {
         damping_ = damping_ * kLess < kNoDamping * stiffest_ ? 0.0 : damping_ * kLess;
       }
-      if ((x_ - start).norm() > farthest) return;
+      if ((p_.at - p).norm() > farthest) return;
       choose_step();
     }
     found_ = (ends_ || settled_) && skew_ <= kSkew;
@@ -78,6 +79,7 @@ class CylinderNormals::Search {
   const Place& place() const { return p_; }
   const Vec3& at() const { return x_; }
   int part() const { return part_; }
+  double least() const { return least_; }  // of the curvatures of the distance on the part
   // The outward normal that the cylinder needs there, in its frame.
   Vec3 outward() const { return -(of_.R_.transpose() * p_.normal); }
   // Of the signed distance of the surface, in the frame of the cylinder.
@@ -169,8 +171,14 @@ bool CylinderNormals::bend(const CommonNormal& at, Mat3& first) const {
 std::array<CylinderNormals::Border, 2> CylinderNormals::borders(const Search& s) const {
   const Vec3 m = s.outward(), axis(0.0, 0.0, height(s.part()) > 0.0 ? 1.0 : -1.0),
              radial(s.at()[0] / cylinder_.radius, s.at()[1] / cylinder_.radius, 0.0);
+  // A place that leaves the rim keeps to where the distance is least along it.
   const Mat3 hessian = s.hessian();
-  return {{{m.dot(axis), axis.dot(hessian * axis)}, {m.dot(radial), radial.dot(hessian * radial)}}};
+  const Vec3 along = hessian * Vec3(-radial[1], radial[0], 0.0);
+  const double least = std::max(s.least(), kFlatPlace / size());
+  const auto bend = [&](const Vec3& inward) {
+    return inward.dot(hessian * inward) - inward.dot(along) * inward.dot(along) / least;
+  };
+  return {{{m.dot(axis), bend(axis)}, {m.dot(radial), bend(radial)}}};
 }
 
 double CylinderNormals::depth(const CommonNormal& c) const {
@@ -364,11 +372,11 @@ void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, 
                  (c.second - x).norm() <= cell.reach + own;
         });
         if (is_known) continue;
-        const Search s(*this, part, cell.place, x, kFarthestTurn * own + cell.reach);
+        const Search s(*this, part, cell.place, x, kFarthestFromCell * cell.reach);
         add(s, -1);
         if (!s.at_saddle()) continue;
         for (const double sign : {1.0, -1.0})
-          add(Search(*this, part, s.place().at, s.beside(sign), kFarthestTurn * own + cell.reach), -1);
+          add(Search(*this, part, s.place().at, s.beside(sign), kFarthestFromCell * cell.reach), -1);
       }
     }
   };

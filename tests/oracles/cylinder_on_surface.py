@@ -1,7 +1,8 @@
 """Local minima of the signed distance from a surface over each part of a cylinder, by looking everywhere.
 
-The cylinder lies about the axis z of its frame. A part is a dense grid, from whose lowest nodes a general minimizer goes
-down. The distance from a height field is that of the nearest of many places on it, from which Newton's method goes on.
+The cylinder lies about the axis z of its frame. A part is a dense grid, from whose lowest nodes a general minimizer
+goes down. The distance from a height field is that of the nearest of many places on it, from which Newton's method
+goes on.
 """
 
 from __future__ import annotations
@@ -85,19 +86,17 @@ def minima(
         if part in (LOW_END, HIGH_END):
             table[a**2 + b**2 > radius**2] = np.inf
         for i, j in np.ndindex(table.shape):
-            rows = [(i + k) % around if part < LOW_END else min(max(i + k, 0), along - 1) for k in (-1, 0, 1)]
-            if (
-                not np.isfinite(table[i, j])
-                or table[i, j] > table[np.ix_(rows, range(max(j - 1, 0), min(j + 2, b.shape[1])))].min()
-            ):
+            around_i = [(i + k) % around if part < LOW_END else min(max(i + k, 0), along - 1) for k in (-1, 0, 1)]
+            around_j = range(max(j - 1, 0), min(j + 2, b.shape[1]))
+            if not np.isfinite(table[i, j]) or table[i, j] > table[np.ix_(around_i, around_j)].min():
                 continue
+            start = np.array([a[i, j], b[i, j]])
             end = minimize(
-                lambda u, part=part: float(at(on(part, u))[0]), [a[i, j], b[i, j]], method="Nelder-Mead",
-                options={"xatol": 1e-10, "fatol": 1e-16, "initial_simplex": [[a[i, j], b[i, j]], [a[i, j] + 1e-3, b[i, j]],
-                                                                           [a[i, j], b[i, j] + 1e-3]]},
+                lambda u, part=part: float(at(on(part, u))[0]), start, method="Nelder-Mead",
+                options={"xatol": 1e-10, "fatol": 1e-16, "initial_simplex": start + 1e-3 * np.eye(3, 2, -1)},
             )  # fmt: skip
             x = on(part, end.x)[0]
-            if part == SIDE and abs(x[2]) > half or part >= LOW_END and np.hypot(*x[:2]) > radius:
+            if (part == SIDE and abs(x[2]) > half) or (part >= LOW_END and np.hypot(*x[:2]) > radius):
                 continue
             if all(np.linalg.norm(x - other.place) > 1e-5 or other.part != part for other in found):
                 found.append(Minimum(float(end.fun), part, x, _is_least(at, x, float(end.fun), radius, half)))
