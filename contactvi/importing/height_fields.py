@@ -71,8 +71,8 @@ class HeightField(GivenSurface):
 
     def lost(self, name: str, point: NDArray[np.float64]) -> None:
         raise SceneError(
-            f"The height field {name!r} gives no nearest point", body=name, expected="one nearest point of the surface, "
-            "not on its border where that meets a cylinder, an ellipsoid or a solid",
+            f"The height field {name!r} gives no nearest point", body=name,
+            expected="one nearest point of the surface, not on its border where that meets other shapes than balls",
             got=f"none of {short(np.round(point, 9).tolist())}",
             remedy="Make the field larger, or smoother, with heights that differ less from sample to sample",
         )  # fmt: skip
