@@ -368,8 +368,8 @@ void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, 
       starts_at(part, cell, limit(), starts);
       for (const Vec3& x : starts) {
         const bool is_known = std::any_of(found.begin(), found.end(), [&](const CommonNormal& c) {
-          return c.part == part && !c.is_flat && (c.first - cell.place).norm() <= cell.reach &&
-                 (c.second - x).norm() <= cell.reach + own;
+          return c.part == part && (c.first - cell.place).norm() <= cell.reach &&
+                 (c.second - x).norm() <= (c.is_flat ? kOneFlatPlace * own : cell.reach + own);
         });
         if (is_known) continue;
         const Search s(*this, part, cell.place, x, kFarthestFromCell * cell.reach);

