@@ -248,8 +248,8 @@ MatX feet_of(const Scene& s, int geometry, const Corner& point, double reach) {
 }
 
 // Rows of gap, normal and the places of the common normals of two shapes, the second one at R x + t in the frame of the
-// first one: the least one, and those with a gap up to reach. Of a cylinder also its part, and how far the place is from
-// the border of that.
+// first one: the least one, and those with a gap up to reach. Of a cylinder also its part, and how far the place is
+// from the border of that.
 MatX common_normals_of(const Scene& s, int first, int second, const Mat3& R, const Vec3& t, double reach) {
   const Geometry &one = s.geometries.at(static_cast<std::size_t>(first)),
                  &other = s.geometries.at(static_cast<std::size_t>(second));

@@ -25,10 +25,10 @@
 // a ball has a point at each of them, which goes with its foot: feet that belong to persistent points have their
 // numbers, the others the lowest numbers that are left.
 //
-// Two solids, a solid and a halfspace, an ellipsoid or a height field, and a cylinder and a solid or a height field touch
-// at their common normals (kSolids), whose numbers are given as those of feet. Where the surfaces lie along each other
-// there are places all over; a few of them, which span the area, become points. A cylinder has them on each rim, on its
-// side and on its ends; of a rim that lies flat, material points of it (model/cylinder_normals.hpp).
+// Two solids, a solid and a halfspace, an ellipsoid or a height field, and a cylinder and a solid or a height field
+// touch at their common normals (kSolids), whose numbers are given as those of feet. Where the surfaces lie along each
+// other there are places all over; a few of them, which span the area, become points. A cylinder has them on each rim,
+// on its side and on its ends; of a rim that lies flat, material points of it (model/cylinder_normals.hpp).
 //
 // witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
 //     of their own: vertex against edge or vertex of rounded shapes, rim against a steep edge, the sides of two

@@ -16,7 +16,7 @@ namespace {
 constexpr double kOverBorder = 1e-6;
 
 bool is_halfspace(const Geometry& g) { return g.unbounded && !g.surface; }
-bool is_cylinder(const Geometry& g) { return g.sharp->getNodeType() == coal::GEOM_CYLINDER; }
+bool has_cylinder_shape(const Geometry& g) { return g.sharp->getNodeType() == coal::GEOM_CYLINDER; }
 
 const SearchedSurface* searched(const Geometry& g) {
   if (g.field) return g.field.get();
@@ -33,22 +33,23 @@ Cylinder cylinder_of(const Geometry& g) {
 bool SolidPair::is_one(const Scene& scene, int pair) {
   const Geometry &a = scene.geometries[scene.pairs[pair].a], &b = scene.geometries[scene.pairs[pair].b];
   for (const auto& [one, other] : {std::pair(&a, &b), std::pair(&b, &a)}) {
-    if (one->field) return is_cylinder(*other) || (other->solid && !other->field);
-    if (one->surface && one->solid) return other->solid || is_cylinder(*other) || is_halfspace(*other) || other->field;
+    if (one->field) return has_cylinder_shape(*other) || (other->solid && !other->field);
+    if (one->surface && one->solid)
+      return other->solid || has_cylinder_shape(*other) || is_halfspace(*other) || other->field;
   }
   return false;
 }
 
 SolidPair::SolidPair(const Scene& scene, int pair, const Placements& at) {
   const Geometry &a = scene.geometries[scene.pairs[pair].a], &b = scene.geometries[scene.pairs[pair].b];
-  second_is_b_ = is_cylinder(b) || (!is_cylinder(a) && b.solid);
+  second_is_b_ = has_cylinder_shape(b) || (!has_cylinder_shape(a) && b.solid);
   first_ = second_is_b_ ? &a : &b;
   second_ = second_is_b_ ? &b : &a;
   first_pose_ = pose_of_surface(*first_, at);
   second_pose_ = pose_of_surface(*second_, at);
   const Mat3 R = first_pose_.R.transpose() * second_pose_.R;
   const Vec3 t = first_pose_.into(second_pose_.p);
-  if (is_cylinder(*second_)) {
+  if (has_cylinder_shape(*second_)) {
     normals_ = CylinderNormals(*searched(*first_), cylinder_of(*second_), R, t);
   } else {
     const FirstSurface first{searched(*first_), first_->halfspace_normal, first_->halfspace_offset};

@@ -28,8 +28,8 @@ class SolidPair {
   bool near(const CommonNormal& known, CommonNormal& found) const;
   double depth(const CommonNormal& c) const;
   bool across(const CommonNormal& c, CommonNormal& found) const;
-  // Whether the second shape reaches beyond the top of a height field. How far they are from each other at least, as seen
-  // along the axes of the field; not a number, of which the scene has been told, where the border lies in the shape.
+  // Whether the second shape reaches beyond the top of a height field. How far they are from each other at least, as
+  // seen along the axes of the field; not a number, of which the scene has been told, where the border lies in it.
   bool beside(CommonNormal& c) const;
   // The surfaces of the first and the second shape at a common normal, in the world. False: they are not known.
   bool surfaces(const CommonNormal& at, ContactSurface (&found)[2]) const;

@@ -14,7 +14,7 @@ namespace {
 using namespace cylinder_part;  // NOLINT: the parts are named all over
 using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
-using Mat32 = Eigen::Matrix<double, 3, 2>;
+using Ways = Eigen::Matrix<double, 3, 2>;
 
 // Times the reach of a cell: beyond this way another cell has searches of its own.
 constexpr double kFarthestFromCell = 2.0;
@@ -142,7 +142,7 @@ class CylinderNormals::Search {
   Place p_{};
   Vec3 x_ = Vec3::Zero();
   double f_ = kInfinity;
-  Mat32 T_ = Mat32::Zero();
+  Ways T_ = Ways::Zero();
   Vec2 step_ = Vec2::Zero(), softest_ = Vec2::UnitX();
   double damping_ = 0.0, least_ = 0.0, stiffest_ = 1.0, skew_ = kInfinity;
   bool last_ = false, ends_ = false, settled_ = false, found_ = false;
@@ -319,7 +319,7 @@ void CylinderNormals::replace_flat_rims(std::vector<CommonNormal>& found, std::v
   }
 }
 
-// Whether a place on the side, or on an end, that is as near as all around it lies between places on rims that are, too.
+// Whether a place on the side, or on an end, that is as near as all around it lies between such places on rims.
 bool CylinderNormals::is_spanned(const CommonNormal& c, const std::vector<CommonNormal>& found) const {
   if (!c.is_flat || is_rim(c.part)) return false;
   if (is_end(c.part))

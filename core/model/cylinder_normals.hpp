@@ -14,8 +14,8 @@ struct Cylinder {
   double radius, half;
 };
 
-// What a common normal touches of a cylinder: numbers of its parts. Of a rim that lies flat on the surface, fixed points
-// of it take the place of the rim: point k of rim r is part kFirstRimPoint + r * kRimPointsOfPart + k, from x to y.
+// What a common normal touches of a cylinder: numbers of its parts. Of a rim that lies flat on the surface, points that
+// are fixed to it take its place: point k of rim r is part kFirstRimPoint + r * kRimPointsOfPart + k, from x to y.
 namespace cylinder_part {
 constexpr int kLowRim = 1, kHighRim = 2, kSide = 3, kLowEnd = 4, kHighEnd = 5, kFirstRimPoint = 6;
 constexpr int kRimPointsOfPart = 12;
