@@ -95,7 +95,7 @@ bool SolidPair::surfaces(const CommonNormal& at, ContactSurface (&found)[2]) con
     if (!cylinder->bend(c, bends[0])) return false;
     const Cylinder& shape = cylinder->cylinder();
     const Vec3 axis = second_pose_.R.col(2), on_axis = second_pose_.point({0.0, 0.0, c.second[2]});
-    if (c.part == cylinder_part::kSide)
+    if (c.part == cylinder_part::kLateral)
       found[1] = ContactSurface::line("side of a cylinder", on_axis, axis, shape.radius);
     else if (cylinder_part::is_end(c.part))
       found[1] = ContactSurface::plane("end of a cylinder", x, outward, 0.0);

@@ -25,7 +25,7 @@ constexpr double kDeepestPlace = 0.1, kLongestTurn = 1.0, kLastTurn = 1e-9, kSam
 // Times the size: lower curvatures count as this much in a step, and as flat in what is found; lower ones are saddles.
 constexpr double kFlatPlace = 1e-4, kSaddlePlace = -1e-6;
 constexpr double kSideOfSurface = 1e-9;  // [m] gaps that are this near to zero are known to rounding
-constexpr double kSkew = 1e-6;           // sine of the angle between the normals, from which on they are not opposite
+constexpr double kSkewPlace = 1e-6;      // sine of the angle between the normals, from which on they are not opposite
 // Of the size: places that are no farther from each other are one; along a flat way.
 constexpr double kOnePlace = 1e-6, kOneFlatPlace = 0.5;
 // [rad] By how much a normal may lie beyond those of a rim, and [m] a place beyond the border of a part.
@@ -70,7 +70,7 @@ class CylinderNormals::Search {
       if ((p_.at - p).norm() > farthest) return;
       choose_step();
     }
-    found_ = (ends_ || settled_) && skew_ <= kSkew;
+    found_ = (ends_ || settled_) && skew_ <= kSkewPlace;
   }
 
   bool found() const { return found_ && least_ * of_.size() >= kSaddlePlace; }
@@ -91,7 +91,7 @@ class CylinderNormals::Search {
     if (is_end(part_)) return {x[0], x[1], of_.height(part_)};
     if (is_rim_point(part_)) return x;
     const double scale = of_.cylinder_.radius / x.head<2>().norm();
-    return {scale * x[0], scale * x[1], part_ == kSide ? x[2] : of_.height(part_)};
+    return {scale * x[0], scale * x[1], part_ == kLateral ? x[2] : of_.height(part_)};
   }
 
   bool set(const Vec3& p, const Vec3& near_x) {
@@ -182,7 +182,7 @@ std::array<CylinderNormals::Border, 2> CylinderNormals::borders(const Search& s)
 }
 
 double CylinderNormals::depth(const CommonNormal& c) const {
-  if (c.part == kSide) return cylinder_.half - std::abs(c.second[2]);
+  if (c.part == kLateral) return cylinder_.half - std::abs(c.second[2]);
   if (is_end(c.part)) return cylinder_.radius - c.second.head<2>().norm();
   const double tilt = cylinder_.radius * (R_.transpose() * c.normal).head<2>().norm();
   if (is_rim_point(c.part)) return tilt <= kFlatRim ? kInfinity : -kInfinity;
@@ -250,7 +250,7 @@ void CylinderNormals::starts_at(int part, const Part& cell, double limit, std::v
   const Vec2 toward = out > 0.0 ? Vec2(aside / out) : Vec2(Vec2::UnitX());
   // By how much a place in the cell may lie beside the plane of the axis and its normal.
   const double beside = std::abs(w[0] * n[1] - w[1] * n[0]), most = cell.reach + (out + cell.reach) * spread;
-  if (part == kSide) {
+  if (part == kLateral) {
     if (std::abs(n[2]) > spread || along > H + room || std::abs(out - R) > room || beside > most) return;
     const Vec2 u = away.norm() > 0.1 ? Vec2(-away.normalized()) : toward;
     starts.emplace_back(R * u[0], R * u[1], std::clamp(w[2], -H, H));
@@ -332,7 +332,7 @@ bool CylinderNormals::is_spanned(const CommonNormal& c, const std::vector<Common
              (o.second - c.second).head<2>().norm() <= kOneFlatPlace * size();
     });
   };
-  return c.part == kSide && ends_at(kLowRim) && ends_at(kHighRim);
+  return c.part == kLateral && ends_at(kLowRim) && ends_at(kHighRim);
 }
 
 void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, std::vector<CommonNormal>& found,
@@ -348,7 +348,7 @@ void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, 
     const CommonNormal c = s.result();
     // Of the side and the ends the surface is on their outer side.
     const Vec3 m = s.outward();
-    if (c.part == kSide && !(m.head<2>().dot(c.second.head<2>()) > 0.0)) return;
+    if (c.part == kLateral && !(m.head<2>().dot(c.second.head<2>()) > 0.0)) return;
     if (is_end(c.part) && !(m[2] * c.second[2] > 0.0)) return;
     if (!is_overlap(c) || is_beyond(s)) return;
     nearest = std::min(nearest, c.gap);

@@ -17,7 +17,7 @@ struct Cylinder {
 // What a common normal touches of a cylinder: numbers of its parts. Of a rim that lies flat on the surface, points that
 // are fixed to it take its place: point k of rim r is part kFirstRimPoint + r * kRimPointsOfPart + k, from x to y.
 namespace cylinder_part {
-constexpr int kLowRim = 1, kHighRim = 2, kSide = 3, kLowEnd = 4, kHighEnd = 5, kFirstRimPoint = 6;
+constexpr int kLowRim = 1, kHighRim = 2, kLateral = 3, kLowEnd = 4, kHighEnd = 5, kFirstRimPoint = 6;
 constexpr int kRimPointsOfPart = 12;
 inline bool is_rim(int part) { return part == kLowRim || part == kHighRim; }
 inline bool is_end(int part) { return part == kLowEnd || part == kHighEnd; }
