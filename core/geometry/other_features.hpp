@@ -5,7 +5,8 @@
 // less than those of the points.
 #pragma once
 
-#include "geometry/manifold.hpp"
+#include "geometry/contact_features.hpp"
+#include "geometry/contact_point.hpp"
 
 namespace contactvi {
 

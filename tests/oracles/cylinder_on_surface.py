@@ -51,7 +51,10 @@ class HeightDistance:
             off = f - points[:, 2]
             gradient = u - points[:, :2] + off[:, None] * slope
             hessian = np.eye(2) + slope[:, :, None] * slope[:, None] + off[:, None, None] * bend.transpose(2, 0, 1)
-            u = np.clip(u - np.linalg.solve(hessian, gradient[..., None])[..., 0], -self.half, self.half)
+            # Newton's method towards a minimum: along ways in which it would lead to a maximum downhill all the same.
+            values, ways = np.linalg.eigh(hessian)
+            along = np.einsum("kij,ki->kj", ways, gradient) / np.maximum(np.abs(values), 0.1)
+            u = np.clip(u - np.einsum("kij,kj->ki", ways, along), -self.half, self.half)
         normal = np.column_stack([-self._at(u, dx=1), -self._at(u, dy=1), np.ones(len(u))])
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         return np.asarray(((points - np.column_stack([u, self._at(u)])) * normal).sum(axis=1))

@@ -273,15 +273,9 @@ def test_runs_are_repeated_to_the_bit() -> None:
 
 
 def test_what_is_refused() -> None:
-    """Surfaces of functions meet no solids, and height fields no halfspaces."""
-    for other in ("surface", "halfspace"):
-        scene = cvi.Scene()
-        if other == "surface":
-            scene.add_torus("ring", RING, TUBE)
-            scene.add_surface("ground", height=lambda p: 0.0 * p[:, 0])
-        else:
-            scene.add_heightfield("ground", np.zeros((4, 4)), (2.0, 2.0))
-            scene.add_halfspace(name="floor")
-            scene.enable_pair("ground", "floor")
-        with pytest.raises(SceneError, match="no contact"):
-            scene.core()
+    """Surfaces of functions meet no solids."""
+    scene = cvi.Scene()
+    scene.add_torus("ring", RING, TUBE)
+    scene.add_surface("ground", height=lambda p: 0.0 * p[:, 0])
+    with pytest.raises(SceneError, match="no contact"):
+        scene.core()
