@@ -125,6 +125,7 @@ double GapPath::least_in_step(int guard, double start, double end, bool held) co
 }
 
 bool GapPath::others_stay_open(int guard) {
+  if (!guards_->is_persistent(guard)) return false;
   guards_->list_joints(guard, joints_);
   const auto place = [&](double tau) {
     path_->configuration(tau, joints_, q_);
