@@ -1,11 +1,10 @@
 #include "model/common_normals.hpp"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 
 #include "base/numerics.hpp"
-#include "model/foot_search.hpp"
+#include "model/distance_search.hpp"
 
 namespace contactvi {
 
@@ -15,27 +14,13 @@ using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 using Mat32 = Eigen::Matrix<double, 3, 2>;
 
-constexpr int kNormalRounds = 40, kBoundRounds = 16;
-// Of the size of a cell: cells that are no farther from each other may hold an overlap, whatever gap was found.
-constexpr double kDeepest = 0.1;
-// Of the size of a cell: no longer step; beyond this way another pair of cells has searches of its own.
-constexpr double kLongestSlide = 1.0, kFarthestSlide = 4.0;
-// Of the size of a cell: a shorter step is the last one, Newton's method doubles the digits. A valley in which the
-// distance falls by rounding alone needs no more of them.
-constexpr double kLastSlide = 1e-9, kSameGapOfSize = 1e-14;
-// Times the size of a cell: curvatures that are less count as this much in a step, and as flat in what is found.
-constexpr double kFlatOfSize = 1e-4;
-// As that: with a lower curvature of the distance a place is a saddle.
-constexpr double kSaddleOfSize = -1e-6;
-// [m] Gaps that are this near to zero are known to rounding, and a place may seem to lie on the other side.
-constexpr double kSideRounding = 1e-9;
-// Sine of the angle between the normals, from which on they are not opposite.
-constexpr double kOpposite = 1e-6;
+constexpr int kBoundRounds = 16;
+// Of the size of a cell: beyond this way another pair of cells has searches of its own.
+constexpr double kFarthestSlide = 4.0;
 // Of the reach of the two cells: where the quadratic surfaces through them may be wrong about their common normal.
 constexpr double kGuess = 2.0;
-// Of the size of a cell: common normals that are no farther from each other are one; along a flat way, and where a
-// guess is no search of its own.
-constexpr double kOneNormal = 1e-6, kOneFlat = 0.5, kOneGuess = 1.0;
+// Of the reach of a cell: where a guess is no search of its own.
+constexpr double kOneGuess = 1.0;
 
 Mat32 tangents(const Vec3& n) {
   Mat32 T;
@@ -46,39 +31,23 @@ Mat32 tangents(const Vec3& n) {
 
 }  // namespace
 
-class CommonNormals::Search {
+class CommonNormals::Search : public DistanceSearch {
  public:
   // From a place p near the first surface and x near the second one, each in its own frame.
-  Search(const CommonNormals& of, const Vec3& p, const Vec3& x, double farthest) : of_(of) {
+  Search(const CommonNormals& of, const Vec3& p, const Vec3& x, double farthest) : DistanceSearch(of.size()), of_(of) {
     if (!set(p, x)) return;
     const Vec3 start = here_.x.at;
-    choose_step();
-    for (int round = 0; round < kNormalRounds && !ends_; ++round) {
-      const Vec3 next = here_.x.at + of_.R_.transpose() * (T_ * step_);
-      if (last_) ends_ = true;
-      const bool falls = set(here_.p.at, next);
-      if (!falls) {
-        damping_ = std::max(kFirstDamping * stiffest_, kMore * damping_);
-        if (damping_ > 1e8 * stiffest_) return;
-      } else {
-        damping_ = damping_ * kLess < kNoDamping * stiffest_ ? 0.0 : damping_ * kLess;
-      }
-      if ((here_.x.at - start).norm() > farthest) return;
-      choose_step();
-    }
-    found_ = (ends_ || settled_) && here_.m.dot(here_.p.normal) < 0.0 && skew_ <= kOpposite;
+    choose();
+    slide([&](const Vec2& step) { return set(here_.p.at, here_.x.at + turned(step)); }, [&] { choose(); },
+          [&] { return (here_.x.at - start).norm() > farthest; });
   }
 
-  bool found() const { return found_ && least_ * of_.size() >= kSaddleOfSize; }
-  bool at_saddle() const { return found_ && !(least_ * of_.size() >= kSaddleOfSize); }
+  bool found() const { return faces() && DistanceSearch::found(); }
+  bool at_saddle() const { return faces() && DistanceSearch::at_saddle(); }
   // Places in the frame of the second surface on both sides of a saddle.
-  Vec3 beside(double sign) const {
-    return here_.x.at + sign * 0.3 * of_.size() * (of_.R_.transpose() * (T_ * softest_));
-  }
+  Vec3 beside(double sign) const { return here_.x.at + turned(to_beside(sign)); }
   const Vec3& first_place() const { return here_.p.at; }
-  CommonNormal result() const {
-    return {here_.f, here_.p.normal, here_.p.at, here_.x.at, least_ * of_.size() < kFlatOfSize};
-  }
+  CommonNormal result() const { return {f(), here_.p.normal, here_.p.at, here_.x.at, is_flat()}; }
   const Mat3& first_bend() const { return here_.p.bend; }
   const Mat3& second_bend() const { return here_.B; }
 
@@ -87,50 +56,33 @@ class CommonNormals::Search {
     Place p, x;
     Vec3 m;  // the normal of the second surface, and how it turns, in the frame of the first one
     Mat3 B;
-    double f = kInfinity;
   };
+
+  bool faces() const { return here_.m.dot(here_.p.normal) < 0.0; }
+  // Along the ways, in the frame of the second surface.
+  Vec3 turned(const Vec2& step) const { return of_.R_.transpose() * (T_ * step); }
 
   // Goes to the place next to x, if the distance falls. False: it does not.
   bool set(const Vec3& p, const Vec3& x) {
     State next;
     if (!of_.second_->onto(x, next.x)) return false;
     const Vec3 y = of_.placed(next.x.at);
-    if (!of_.foot(y, p, next.p)) return false;
-    next.f = next.p.normal.dot(y - next.p.at);
-    const double rounding = kSameGapOfSize * of_.size() + kSquareRounding * std::abs(next.f);
-    if (!(ends_ || next.f <= here_.f + rounding)) return false;
-    settled_ = std::abs(next.f - here_.f) <= rounding;
+    if (!of_.foot(y, p, next.p) || !falls_to(next.p.normal.dot(y - next.p.at))) return false;
     next.m = of_.R_ * next.x.normal;
     next.B = of_.R_ * next.x.bend * of_.R_.transpose();
     here_ = next;
     return true;
   }
 
-  void choose_step() {
-    const double size = of_.size();
+  void choose() {
     T_ = tangents(here_.m);
-    const Vec2 g = T_.transpose() * here_.p.normal;
-    const Mat3 curvature = curvature_at(here_.p.bend, here_.f) - here_.m.dot(here_.p.normal) * here_.B;
-    const Eigen::SelfAdjointEigenSolver<Mat2> eigen(Mat2(T_.transpose() * curvature * T_));
-    const Vec2 values = eigen.eigenvalues();
-    least_ = values[0];
-    softest_ = eigen.eigenvectors().col(0);
-    skew_ = g.norm();
-    stiffest_ = std::max(values.cwiseAbs().maxCoeff(), kFlatOfSize / size);
-    const Vec2 along = eigen.eigenvectors().transpose() * g;
-    const Vec2 positive = values.cwiseAbs().cwiseMax(kFlatOfSize / size);
-    last_ = along.cwiseQuotient(positive).norm() <= kLastSlide * size;
-    step_ = -eigen.eigenvectors() * along.cwiseQuotient(positive + Vec2::Constant(damping_));
-    const double length = step_.norm(), longest = kLongestSlide * size;
-    if (length > longest) step_ *= longest / length;
+    const Mat3 curvature = curvature_at(here_.p.bend, f()) - here_.m.dot(here_.p.normal) * here_.B;
+    choose_step(T_.transpose() * here_.p.normal, T_.transpose() * curvature * T_);
   }
 
   const CommonNormals& of_;
-  State here_;
-  Mat32 T_ = Mat32::Zero();
-  Vec2 step_ = Vec2::Zero(), softest_ = Vec2::UnitX();
-  double damping_ = 0.0, least_ = 0.0, stiffest_ = 1.0, skew_ = kInfinity;
-  bool last_ = false, ends_ = false, settled_ = false, found_ = false;
+  State here_{};
+  Ways T_ = Ways::Zero();
 };
 
 bool CommonNormals::foot(const Vec3& point, const Vec3& start, Place& place) const {
@@ -244,24 +196,13 @@ double CommonNormals::distance_bound() const {
 
 void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, std::vector<CommonNormal>& found,
                         std::vector<int>& number) const {
-  found.clear();
-  number.clear();
-  if (!t_.allFinite() || !R_.allFinite()) return;
   const double own = size();
-  double nearest = first_.surface == nullptr ? kInfinity : distance_bound();
-  const auto limit = [&] { return std::max({nearest, reach, kDeepest * own}); };
+  const bool finite = t_.allFinite() && R_.allFinite();
+  FoundNormals list(found, number, own, finite && first_.surface != nullptr ? distance_bound() : kInfinity);
+  if (!finite) return;
+  const auto limit = [&] { return std::max({list.nearest(), reach, kDeepest * own}); };
   const auto add = [&](const Search& s, int which) {
-    if (!s.found()) return;
-    const CommonNormal c = s.result();
-    if (!is_overlap(c)) return;
-    nearest = std::min(nearest, c.gap);
-    const bool is_new = std::none_of(found.begin(), found.end(), [&](const CommonNormal& o) {
-      const double same = own * (c.is_flat && o.is_flat ? kOneFlat : kOneNormal);
-      return (o.second - c.second).norm() <= same && (o.first - c.first).norm() <= same;
-    });
-    if (!is_new) return;
-    found.push_back(c);
-    number.push_back(which);
+    if (s.found() && is_overlap(s.result())) list.add(s.result(), which);
   };
   for (std::size_t k = 0; k < known.size(); ++k)
     add(Search(*this, known[k].first, known[k].second, kInfinity), static_cast<int>(k));
@@ -289,17 +230,7 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
       return limit();
     });
   }
-  // Of those that were found before a nearer one was, only the ones within reach.
-  nearest = kInfinity;
-  for (const CommonNormal& c : found) nearest = std::min(nearest, c.gap);
-  std::size_t kept = 0;
-  for (std::size_t k = 0; k < found.size(); ++k) {
-    if (found[k].gap > std::max(reach, nearest)) continue;
-    found[kept] = found[k];
-    number[kept++] = number[k];
-  }
-  found.resize(kept);
-  number.resize(kept);
+  list.keep_within(reach);
 }
 
 }  // namespace contactvi

@@ -1,11 +1,10 @@
 #include "model/cylinder_normals.hpp"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 
 #include "base/numerics.hpp"
-#include "model/foot_search.hpp"
+#include "model/distance_search.hpp"
 
 namespace contactvi {
 
@@ -13,21 +12,10 @@ namespace {
 
 using namespace cylinder_part;  // NOLINT: the parts are named all over
 using Vec2 = Eigen::Vector2d;
-using Mat2 = Eigen::Matrix2d;
-using Ways = Eigen::Matrix<double, 3, 2>;
 
 // Times the reach of a cell: beyond this way another cell has searches of its own.
 constexpr double kFarthestFromCell = 2.0;
-constexpr int kPlaceRounds = 40, kBoundRoundsOfCylinder = 8;
-// Of the size: as those of CommonNormals. Cells that are no farther from the cylinder may hold an overlap; no longer
-// step; the last step; equal distances.
-constexpr double kDeepestPlace = 0.1, kLongestTurn = 1.0, kLastTurn = 1e-9, kSamePlaceGap = 1e-14;
-// Times the size: lower curvatures count as this much in a step, and as flat in what is found; lower ones are saddles.
-constexpr double kFlatPlace = 1e-4, kSaddlePlace = -1e-6;
-constexpr double kSideOfSurface = 1e-9;  // [m] gaps that are this near to zero are known to rounding
-constexpr double kSkewPlace = 1e-6;      // sine of the angle between the normals, from which on they are not opposite
-// Of the size: places that are no farther from each other are one; along a flat way.
-constexpr double kOnePlace = 1e-6, kOneFlatPlace = 0.5;
+constexpr int kBoundRoundsOfCylinder = 8;
 // [rad] By how much a normal may lie beyond those of a rim, and [m] a place beyond the border of a part.
 constexpr double kBeyondCone = 1e-9, kBeyondPart = 6e-9;
 // Sine of the tilt from which on the other side of a rim cannot come down before the points are found again; and up to
@@ -52,39 +40,26 @@ double CylinderNormals::inside(const Vec3& point) const {
 }
 
 // On one part, which goes on beyond its borders.
-class CylinderNormals::Search {
+class CylinderNormals::Search : public DistanceSearch {
  public:
   // From a place p near the surface and x near the part, each in its own frame; no farther from p than this.
-  Search(const CylinderNormals& of, int part, const Vec3& p, const Vec3& x, double farthest) : of_(of), part_(part) {
+  Search(const CylinderNormals& of, int part, const Vec3& p, const Vec3& x, double farthest)
+      : DistanceSearch(of.size()), of_(of), part_(part) {
     if (!p.allFinite() || !x.allFinite() || !set(p, x)) return;
-    choose_step();
-    for (int round = 0; round < kPlaceRounds && !ends_; ++round) {
-      const Vec3 next = x_ + T_ * step_;
-      if (last_) ends_ = true;
-      if (!set(p_.at, next)) {
-        damping_ = std::max(kFirstDamping * stiffest_, kMore * damping_);
-        if (damping_ > 1e8 * stiffest_) return;
-      } else {
-        damping_ = damping_ * kLess < kNoDamping * stiffest_ ? 0.0 : damping_ * kLess;
-      }
-      if ((p_.at - p).norm() > farthest) return;
-      choose_step();
-    }
-    found_ = (ends_ || settled_) && skew_ <= kSkewPlace;
+    choose();
+    slide([&](const Vec2& step) { return set(p_.at, x_ + T_ * step); }, [&] { choose(); },
+          [&] { return (p_.at - p).norm() > farthest; });
   }
 
-  bool found() const { return found_ && least_ * of_.size() >= kSaddlePlace; }
-  bool at_saddle() const { return found_ && !(least_ * of_.size() >= kSaddlePlace); }
-  Vec3 beside(double sign) const { return x_ + sign * 0.3 * of_.size() * (T_ * softest_); }
+  Vec3 beside(double sign) const { return x_ + T_ * to_beside(sign); }
   const Place& place() const { return p_; }
   const Vec3& at() const { return x_; }
   int part() const { return part_; }
-  double least() const { return least_; }  // of the curvatures of the distance on the part
   // The outward normal that the cylinder needs there, in its frame.
   Vec3 outward() const { return -(of_.R_.transpose() * p_.normal); }
   // Of the signed distance of the surface, in the frame of the cylinder.
-  Mat3 hessian() const { return of_.R_.transpose() * curvature_at(p_.bend, f_) * of_.R_; }
-  CommonNormal result() const { return {f_, p_.normal, p_.at, x_, least_ * of_.size() < kFlatPlace, part_}; }
+  Mat3 hessian() const { return of_.R_.transpose() * curvature_at(p_.bend, f()) * of_.R_; }
+  CommonNormal result() const { return {f(), p_.normal, p_.at, x_, is_flat(), part_}; }
 
  private:
   Vec3 onto(const Vec3& x) const {
@@ -97,21 +72,15 @@ class CylinderNormals::Search {
   bool set(const Vec3& p, const Vec3& near_x) {
     const Vec3 x = onto(near_x), y = of_.placed(x);
     Place foot;
-    if (!x.allFinite() || !of_.surface_->foot_place(y, p, foot)) return false;
-    const double f = foot.normal.dot(y - foot.at),
-                 rounding = kSamePlaceGap * of_.size() + kSquareRounding * std::abs(f);
-    if (!(ends_ || f <= f_ + rounding)) return false;
-    settled_ = std::abs(f - f_) <= rounding;
-    f_ = f;
+    if (!x.allFinite() || !of_.surface_->foot_place(y, p, foot) || !falls_to(foot.normal.dot(y - foot.at)))
+      return false;
     p_ = foot;
     x_ = x;
     return true;
   }
 
-  void choose_step() {
-    const double size = of_.size(), flat = kFlatPlace / size;
+  void choose() {
     const Vec3 m = outward(), radial(x_[0] / of_.cylinder_.radius, x_[1] / of_.cylinder_.radius, 0.0);
-    T_.setZero();
     // Along the circle, and across it; of what is one place or one line alone nothing across it.
     const bool round = !is_end(part_);
     T_.col(0) = round ? Vec3(-radial[1], radial[0], 0.0) : Vec3(Vec3::UnitX());
@@ -122,36 +91,24 @@ class CylinderNormals::Search {
     if (round) second(0, 0) += m.dot(radial) / of_.cylinder_.radius;
     for (int k = ways; k < 2; ++k) {
       gradient[k] = second(0, 1) = second(1, 0) = 0.0;
-      second(k, k) = 1e3 * (std::abs(second(0, 0)) + flat);
+      second(k, k) = kHeld * (std::abs(second(0, 0)) + kFlatOfSize / of_.size());
     }
-    const Eigen::SelfAdjointEigenSolver<Mat2> eigen(second);
-    const Vec2 values = eigen.eigenvalues();
-    least_ = values[0];
-    softest_ = eigen.eigenvectors().col(0);
-    skew_ = gradient.norm();
-    stiffest_ = std::max(values.cwiseAbs().maxCoeff(), flat);
-    const Vec2 along = eigen.eigenvectors().transpose() * gradient, positive = values.cwiseAbs().cwiseMax(flat);
-    last_ = along.cwiseQuotient(positive).norm() <= kLastTurn * size;
-    step_ = -eigen.eigenvectors() * along.cwiseQuotient(positive + Vec2::Constant(damping_));
-    const double length = step_.norm(), longest = kLongestTurn * size;
-    if (length > longest) step_ *= longest / length;
+    choose_step(gradient, second);
   }
+
+  static constexpr double kHeld = 1e3;  // of the other curvature: that of a way that is none
 
   const CylinderNormals& of_;
   int part_;
   Place p_{};
   Vec3 x_ = Vec3::Zero();
-  double f_ = kInfinity;
   Ways T_ = Ways::Zero();
-  Vec2 step_ = Vec2::Zero(), softest_ = Vec2::UnitX();
-  double damping_ = 0.0, least_ = 0.0, stiffest_ = 1.0, skew_ = kInfinity;
-  bool last_ = false, ends_ = false, settled_ = false, found_ = false;
 };
 
 // Whether both places lie in the other solid, where the gap is negative: a side of one that is seen through it has such
 // a gap, too.
 bool CylinderNormals::is_overlap(const CommonNormal& c) const {
-  if (c.gap > -kSideOfSurface) return true;
+  if (c.gap > -kSideRounding) return true;
   return surface_->is_inside(placed(c.second)) && inside(c.first) > 0.0;
 }
 
@@ -174,7 +131,7 @@ std::array<CylinderNormals::Border, 2> CylinderNormals::borders(const Search& s)
   // A place that leaves the rim keeps to where the distance is least along it.
   const Mat3 hessian = s.hessian();
   const Vec3 along = hessian * Vec3(-radial[1], radial[0], 0.0);
-  const double least = std::max(s.least(), kFlatPlace / size());
+  const double least = std::max(s.least(), kFlatOfSize / size());
   const auto bend = [&](const Vec3& inward) {
     return inward.dot(hessian * inward) - inward.dot(along) * inward.dot(along) / least;
   };
@@ -191,7 +148,7 @@ double CylinderNormals::depth(const CommonNormal& c) const {
   if (!s.found()) return -kInfinity;
   double depth = kInfinity;
   for (const Border& border : borders(s))
-    if (border.bend > kFlatPlace / size()) depth = std::min(depth, border.inside * size());
+    if (border.bend > kFlatOfSize / size()) depth = std::min(depth, border.inside * size());
   return depth;
 }
 
@@ -201,7 +158,7 @@ bool CylinderNormals::is_beyond(const Search& s) const {
   if (!is_rim(s.part())) return depth(s.result()) < -kBeyondPart;
   const auto borders = this->borders(s);
   return std::any_of(borders.begin(), borders.end(), [this](const Border& b) {
-    return b.bend > kFlatPlace / size() && b.inside < -kBeyondCone && -b.inside < kOneFlatPlace * size() * b.bend;
+    return b.bend > kFlatOfSize / size() && b.inside < -kBeyondCone && -b.inside < kOneFlat * size() * b.bend;
   });
 }
 
@@ -284,7 +241,8 @@ bool CylinderNormals::rim_point(int rim, int k, const CommonNormal& next_to, Com
 }
 
 // A rim on which the distance is the same all around touches by fixed points.
-void CylinderNormals::replace_flat_rims(std::vector<CommonNormal>& found, std::vector<int>& number) const {
+void CylinderNormals::replace_flat_rims(FoundNormals& list) const {
+  const std::vector<CommonNormal>& found = list.found();
   for (int rim = 0; rim < 2; ++rim) {
     const auto on_rim = [rim](const CommonNormal& c) { return is_rim(c.part) && rim_of(c.part) == rim; };
     const auto one = std::find_if(found.begin(), found.end(), [&](const CommonNormal& c) {
@@ -304,18 +262,8 @@ void CylinderNormals::replace_flat_rims(std::vector<CommonNormal>& found, std::v
       most = std::max(most, points[static_cast<std::size_t>(k)].gap);
     }
     if (!(most - least <= kFlatRim)) continue;
-    std::size_t kept = 0;
-    for (std::size_t k = 0; k < found.size(); ++k) {
-      if (on_rim(found[k]) || rim_of(found[k].part) == rim) continue;
-      found[kept] = found[k];
-      number[kept++] = number[k];
-    }
-    found.resize(kept);
-    number.resize(kept);
-    for (const CommonNormal& c : points) {
-      found.push_back(c);
-      number.push_back(-1);
-    }
+    list.keep([&](std::size_t k) { return rim_of(found[k].part) != rim; });
+    for (const CommonNormal& c : points) list.put(c, -1);
   }
 }
 
@@ -329,7 +277,7 @@ bool CylinderNormals::is_spanned(const CommonNormal& c, const std::vector<Common
   const auto ends_at = [&](int rim) {
     return std::any_of(found.begin(), found.end(), [&](const CommonNormal& o) {
       return o.part == rim && std::abs(o.gap - c.gap) <= kFlatRim &&
-             (o.second - c.second).head<2>().norm() <= kOneFlatPlace * size();
+             (o.second - c.second).head<2>().norm() <= kOneFlat * size();
     });
   };
   return c.part == kLateral && ends_at(kLowRim) && ends_at(kHighRim);
@@ -337,12 +285,11 @@ bool CylinderNormals::is_spanned(const CommonNormal& c, const std::vector<Common
 
 void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, std::vector<CommonNormal>& found,
                           std::vector<int>& number) const {
-  found.clear();
-  number.clear();
-  if (!t_.allFinite() || !R_.allFinite()) return;
   const double own = size();
-  double nearest = distance_bound();
-  const auto limit = [&] { return std::max({nearest, reach, kDeepestPlace * own}); };
+  const bool finite = t_.allFinite() && R_.allFinite();
+  FoundNormals list(found, number, own, finite ? distance_bound() : kInfinity);
+  if (!finite) return;
+  const auto limit = [&] { return std::max({list.nearest(), reach, kDeepest * own}); };
   const auto add = [&](const Search& s, int which) {
     if (!s.found()) return;
     const CommonNormal c = s.result();
@@ -350,15 +297,7 @@ void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, 
     const Vec3 m = s.outward();
     if (c.part == kLateral && !(m.head<2>().dot(c.second.head<2>()) > 0.0)) return;
     if (is_end(c.part) && !(m[2] * c.second[2] > 0.0)) return;
-    if (!is_overlap(c) || is_beyond(s)) return;
-    nearest = std::min(nearest, c.gap);
-    const bool is_new = std::none_of(found.begin(), found.end(), [&](const CommonNormal& o) {
-      const double same = own * (c.is_flat && o.is_flat ? kOneFlatPlace : kOnePlace);
-      return o.part == c.part && (o.second - c.second).norm() <= same && (o.first - c.first).norm() <= same;
-    });
-    if (!is_new) return;
-    found.push_back(c);
-    number.push_back(which);
+    if (is_overlap(c) && !is_beyond(s)) list.add(c, which);
   };
   for (std::size_t k = 0; k < known.size(); ++k)
     add(Search(*this, known[k].part, known[k].first, known[k].second, kInfinity), static_cast<int>(k));
@@ -369,7 +308,7 @@ void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, 
       for (const Vec3& x : starts) {
         const bool is_known = std::any_of(found.begin(), found.end(), [&](const CommonNormal& c) {
           return c.part == part && (c.first - cell.place).norm() <= cell.reach &&
-                 (c.second - x).norm() <= (c.is_flat ? kOneFlatPlace * own : cell.reach + own);
+                 (c.second - x).norm() <= (c.is_flat ? kOneFlat * own : cell.reach + own);
         });
         if (is_known) continue;
         const Search s(*this, part, cell.place, x, kFarthestFromCell * cell.reach);
@@ -386,19 +325,10 @@ void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, 
         const Part& cell = surface_->parts()[static_cast<std::size_t>(k)];
         if (distance(cell.place) - cell.reach <= limit()) look(cell);
       });
-  replace_flat_rims(found, number);
-  // Of those that were found before a nearer one was, only the ones within reach.
-  nearest = kInfinity;
-  for (const CommonNormal& c : found) nearest = std::min(nearest, c.gap);
+  replace_flat_rims(list);
   const std::vector<CommonNormal> all_found = found;
-  std::size_t kept = 0;
-  for (std::size_t k = 0; k < found.size(); ++k) {
-    if (found[k].gap > std::max(reach, nearest) || (number[k] < 0 && is_spanned(found[k], all_found))) continue;
-    found[kept] = found[k];
-    number[kept++] = number[k];
-  }
-  found.resize(kept);
-  number.resize(kept);
+  list.keep_within(reach);
+  list.keep([&](std::size_t k) { return number[k] >= 0 || !is_spanned(found[k], all_found); });
 }
 
 }  // namespace contactvi

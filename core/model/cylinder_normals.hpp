@@ -14,6 +14,8 @@ struct Cylinder {
   double radius, half;
 };
 
+class FoundNormals;
+
 // What a common normal touches of a cylinder: numbers of its parts. Of a rim that lies flat on the surface, points that
 // are fixed to it take its place: point k of rim r is part kFirstRimPoint + r * kRimPointsOfPart + k, from x to y.
 namespace cylinder_part {
@@ -81,7 +83,7 @@ class CylinderNormals {
   double distance_bound() const;
   void starts_at(int part, const Part& cell, double limit, std::vector<Vec3>& starts) const;
   bool rim_point(int rim, int k, const CommonNormal& next_to, CommonNormal& found) const;
-  void replace_flat_rims(std::vector<CommonNormal>& found, std::vector<int>& number) const;
+  void replace_flat_rims(FoundNormals& list) const;
   bool is_spanned(const CommonNormal& c, const std::vector<CommonNormal>& found) const;
 
   const SearchedSurface* surface_;
