@@ -286,11 +286,10 @@ bool EventFinder::collect(int g) {
     return true;
   }
   pass_.push_back(g);
-  if (!memory_.touching[g] && guards_->separated_at_end(g)) {
+  if (!memory_.touching[g] && (guards_->separated_at_end(g) || guards_->others_stay_behind(g))) {
     ++guards_->counters.skipped;
     return true;
   }
-  if (!memory_.touching[g] && guards_->others_stay_behind(g)) return true;
   const double gap = guards_->evaluate(g, contact_);
   if (!std::isfinite(gap)) {
     fail(Search::kUnresolved, g, gap);

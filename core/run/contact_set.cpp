@@ -46,6 +46,12 @@ void ContactSet::forget_persistent_guards() {
 }
 
 void ContactSet::update_persistent_guards() {
+  tell_guards();
+  share_adhesion();
+  step_->invalidate();
+}
+
+void ContactSet::tell_guards() {
   forget_persistent_guards();
   for (const PersistentContact& persistent : step_->contacts()) {
     const int g = persistent.point.guard;
@@ -56,8 +62,6 @@ void ContactSet::update_persistent_guards() {
     guards_->set_persistent(g, std::move(points));
     persistent_guards_.push_back(g);
   }
-  share_adhesion();
-  step_->invalidate();
 }
 
 // What has let go at some points does not pull more at the others.
@@ -336,6 +340,7 @@ void ContactSet::leave(std::size_t i, const VecX& v, double time, Recording& rec
   run_->separated.push_back({g, old.point.feature, true});
   contacts.erase(contacts.begin() + static_cast<std::ptrdiff_t>(i));
   record_change(time, old.point, Change::kRelease, 0.0, recording);
+  tell_guards();
   find_touching(g);
   const double slow = kSlowSeparation * kPersists * (1.0 + v.cwiseAbs().maxCoeff());
   MatX row(scene_->tree.nv, 3);

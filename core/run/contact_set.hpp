@@ -60,6 +60,7 @@ class ContactSet {
   bool points_changed(int guard);
   void forget_separated(int guard);
   bool find_touching(int guard);
+  void tell_guards();
   void share_adhesion();
   std::vector<char> letting_go(int i, const VecX& tau);
 
