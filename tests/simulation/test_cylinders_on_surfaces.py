@@ -79,7 +79,7 @@ def test_all_local_minima_are_found(ground: str) -> None:
         known = minima(distance, RADIUS, HALF, R, t)
         found = normals_of(scene, R, t, max(known[0].gap, 0.0) + reach)
         assert abs(found[:, 0].min() - known[0].gap) < 1e-9
-        assert 0.0 < known[0].gap < 0.01
+        assert 0.0 < known[0].gap < reach  # near enough that places besides the least one are within reach
         for m in known:
             if m.gap > known[0].gap + 0.9 * reach or not m.is_least:
                 continue
