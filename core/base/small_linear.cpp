@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "base/instruction_sets.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -12,7 +14,7 @@ constexpr double kRankCut = 1e-11;  // of the largest pivot of QR: the rank ends
 constexpr double kZeroRow = 1e-13;  // of the largest entry: a row of smaller ones is rounding
 
 // In four sums, which the processor makes side by side.
-double dot(const double* __restrict x, const double* __restrict y, int n) {
+[[gnu::always_inline]] inline double dot(const double* __restrict x, const double* __restrict y, int n) {
   double sums[4] = {0.0, 0.0, 0.0, 0.0};
   int i = 0;
   for (; i + 4 <= n; i += 4)
@@ -22,12 +24,12 @@ double dot(const double* __restrict x, const double* __restrict y, int n) {
 }
 
 // x and y do not overlap.
-void axpy(double a, const double* __restrict x, double* __restrict y, int n) {
+[[gnu::always_inline]] inline void axpy(double a, const double* __restrict x, double* __restrict y, int n) {
   for (int i = 0; i < n; ++i) y[i] += a * x[i];
 }
 
 // Householder vector of x (n,), stored over x with x[0] = v_0; returns the value that x is mapped to, beta = 2/|v|^2.
-double householder(double* x, int n, double& beta) {
+[[gnu::always_inline]] inline double householder(double* x, int n, double& beta) {
   const double length = std::sqrt(dot(x, x, n));
   beta = 0.0;
   if (length == 0.0) return 0.0;
@@ -35,6 +37,64 @@ double householder(double* x, int n, double& beta) {
   x[0] -= value;
   beta = 2.0 / dot(x, x, n);
   return value;
+}
+
+// LU with partial pivoting over f (n, n); false if a pivot is not above `least` of the largest. order: of the rows.
+CONTACTVI_WIDE_VECTORS bool triangles(double* __restrict f, int n, double least, int* order) {
+  double smallest = 1.0, largest = 0.0;
+  for (int k = 0; k < n; ++k) {
+    double* column = f + k * n;
+    int pivot = k;
+    for (int i = k + 1; i < n; ++i)
+      if (std::abs(column[i]) > std::abs(column[pivot])) pivot = i;
+    const double size = std::abs(column[pivot]);
+    largest = std::max(largest, size);
+    smallest = k == 0 ? size : std::min(smallest, size);
+    if (!(smallest > least * largest)) return false;
+    order[k] = pivot;
+    if (pivot != k)
+      for (int j = 0; j < n; ++j) std::swap(f[k + j * n], f[pivot + j * n]);
+    const double inverse = 1.0 / column[k];
+    for (int i = k + 1; i < n; ++i) column[i] *= inverse;
+    for (int j = k + 1; j < n; ++j) axpy(-f[k + j * n], column + k + 1, f + k + 1 + j * n, n - k - 1);
+  }
+  return true;
+}
+
+// QR with column pivoting over f (n, n); returns the rank. order: of the columns; head, beta: of the reflections.
+CONTACTVI_WIDE_VECTORS int pivoted_qr(double* f, int n, double* norms, int* order, double* head, double* beta) {
+  double first = 0.0;
+  for (int k = 0; k < n; ++k) {
+    // The norms are computed anew each time: the matrices are small, and downdated norms lose their digits where the
+    // rank ends.
+    int pivot = k;
+    for (int j = k; j < n; ++j) {
+      norms[j] = dot(f + k + j * n, f + k + j * n, n - k);
+      if (norms[j] > norms[pivot]) pivot = j;
+    }
+    const double size = std::sqrt(norms[pivot]);
+    if (k == 0) first = size;
+    if (!(size > kRankCut * first)) return k;
+    if (pivot != k) {
+      std::swap_ranges(f + k * n, f + (k + 1) * n, f + pivot * n);
+      std::swap(order[k], order[pivot]);
+    }
+    double* v = f + k + k * n;
+    const double value = householder(v, n - k, beta[k]);
+    for (int j = k + 1; j < n; ++j) axpy(-beta[k] * dot(v, f + k + j * n, n - k), v, f + k + j * n, n - k);
+    head[k] = v[0];
+    v[0] = value;
+  }
+  return n;
+}
+
+// QR of t (n, rank), over it.
+CONTACTVI_WIDE_VECTORS void plain_qr(double* t, int n, int rank, double* diagonal, double* beta) {
+  for (int k = 0; k < rank; ++k) {
+    double* v = t + k + k * n;
+    diagonal[k] = householder(v, n - k, beta[k]);
+    for (int j = k + 1; j < rank; ++j) axpy(-beta[k] * dot(v, t + k + j * n, n - k), v, t + k + j * n, n - k);
+  }
 }
 
 }  // namespace
@@ -67,24 +127,7 @@ bool SmallLinear::factor(double least) {
   }
   for (int j = 0; j < n; ++j)
     for (int i = 0; i < n; ++i) f[i + j * n] = a[i + j * n] * scale[i];
-  double smallest = 1.0, largest = 0.0;
-  for (int k = 0; k < n; ++k) {
-    double* column = f + k * n;
-    int pivot = k;
-    for (int i = k + 1; i < n; ++i)
-      if (std::abs(column[i]) > std::abs(column[pivot])) pivot = i;
-    const double size = std::abs(column[pivot]);
-    largest = std::max(largest, size);
-    smallest = k == 0 ? size : std::min(smallest, size);
-    if (!(smallest > least * largest)) return false;
-    order_[k] = pivot;
-    if (pivot != k)
-      for (int j = 0; j < n; ++j) std::swap(f[k + j * n], f[pivot + j * n]);
-    const double inverse = 1.0 / column[k];
-    for (int i = k + 1; i < n; ++i) column[i] *= inverse;
-    for (int j = k + 1; j < n; ++j) axpy(-f[k + j * n], column + k + 1, f + k + 1 + j * n, n - k - 1);
-  }
-  return true;
+  return triangles(f, n, least, order_.data());
 }
 
 void SmallLinear::substitute(double* x) {
@@ -99,46 +142,13 @@ void SmallLinear::substitute(double* x) {
   }
 }
 
-// QR with column pivoting of f_; returns the rank.
-int SmallLinear::pivoted_qr() {
-  const int n = n_;
-  double* f = f_.data();
-  double first = 0.0;
-  for (int k = 0; k < n; ++k) {
-    // The norms are computed anew each time: the matrices are small, and downdated norms lose their digits where the
-    // rank ends.
-    int pivot = k;
-    for (int j = k; j < n; ++j) {
-      norms_[j] = dot(f + k + j * n, f + k + j * n, n - k);
-      if (norms_[j] > norms_[pivot]) pivot = j;
-    }
-    const double size = std::sqrt(norms_[pivot]);
-    if (k == 0) first = size;
-    if (!(size > kRankCut * first)) return k;
-    if (pivot != k) {
-      std::swap_ranges(f + k * n, f + (k + 1) * n, f + pivot * n);
-      std::swap(order_[k], order_[pivot]);
-    }
-    double* v = f + k + k * n;
-    const double value = householder(v, n - k, beta_[k]);
-    for (int j = k + 1; j < n; ++j) axpy(-beta_[k] * dot(v, f + k + j * n, n - k), v, f + k + j * n, n - k);
-    head_[k] = v[0];
-    v[0] = value;
-  }
-  return n;
-}
-
 // QR of R^T = Q2 S, R the first rows of f_: y_ of least norm with R y = c is Q2 z, S^T z = c.
 void SmallLinear::factor_trapezoid() {
   const int n = n_;
   double* t = t_.data();
   for (int k = 0; k < rank_; ++k)
     for (int j = 0; j < n; ++j) t[j + k * n] = j < k ? 0.0 : f_[k + j * n];
-  for (int k = 0; k < rank_; ++k) {
-    double* v = t + k + k * n;
-    diagonal_[k] = householder(v, n - k, beta_2_[k]);
-    for (int j = k + 1; j < rank_; ++j) axpy(-beta_2_[k] * dot(v, t + k + j * n, n - k), v, t + k + j * n, n - k);
-  }
+  plain_qr(t, n, rank_, diagonal_.data(), beta_2_.data());
 }
 
 void SmallLinear::minimum_norm(const double* weight, double* x) {
@@ -153,7 +163,7 @@ void SmallLinear::minimum_norm(const double* weight, double* x) {
   for (int i = 0; i < n; ++i) scale_[i] = scale_[i] > zero ? 1.0 / scale_[i] : 0.0;
   for (int j = 0; j < n; ++j)
     for (int i = 0; i < n; ++i) f_[i + j * n] = a_[i + j * n] * scale_[i] / weight[j];
-  rank_ = pivoted_qr();
+  rank_ = pivoted_qr(f_.data(), n, norms_.data(), order_.data(), head_.data(), beta_.data());
   factor_trapezoid();
   minimum_norm_again(x);
 }

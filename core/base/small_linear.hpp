@@ -29,7 +29,6 @@ class SmallLinear {
 
  private:
   double largest_scale() const;
-  int pivoted_qr();
   void factor_trapezoid();
 
   int n_ = 0;

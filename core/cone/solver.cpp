@@ -27,12 +27,12 @@ bool turns(const ConeProblem& problem) {
   return std::any_of(problem.contacts.begin(), problem.contacts.end(), [](const ConeContact& c) { return c.rows > 3; });
 }
 
-// Cuts an impulse of friction of so many rows to its bound.
+// Cuts an impulse of friction of so many rows to its bound, where it is beyond by more than rounding.
 void cut(double* x, int rows, double most) {
   double sum = 0.0;
   for (int k = 0; k < rows; ++k) sum += x[k] * x[k];
   const double friction = std::sqrt(sum);
-  if (friction <= most) return;
+  if (friction <= most * (1.0 + kConeTolerance)) return;
   for (int k = 0; k < rows; ++k) x[k] *= most / friction;
 }
 
@@ -44,7 +44,7 @@ void ConeSolver::reserve(int rows) {
   system_.reserve(rows);
   factor_.reserve(rows);
   if (static_cast<int>(start_.size()) >= rows) return;
-  for (auto* v : {&start_, &best_, &w_}) v->resize(rows);
+  for (auto* v : {&start_, &best_, &w_, &shift_}) v->resize(rows);
 }
 
 bool ConeSolver::one_contact(const ConeProblem& problem, double* lambda) {
@@ -93,7 +93,10 @@ bool ConeSolver::attempt(const ConeProblem& problem, bool regularize, double* la
     std::copy_n(lambda, m, start_.data());
     if (plain(problem, lambda)) return true;
     std::copy_n(start_.data(), m, lambda);
-    shifted(problem, lambda);
+    if (shifted(problem, lambda)) {
+      std::copy_n(lambda, m, shift_.data());
+      shifted_ = m;
+    }
   }
   map_.set_shift(0.0);
   using Singular = ConeNewton::Singular;
@@ -161,7 +164,8 @@ void ConeSolver::clear_open(const ConeProblem& problem, double* lambda) const {
   }
 }
 
-// What Newton's method leaves of the law is better left in the velocities than outside of the friction cones.
+// What Newton's method leaves of the law, as much as the noise of the velocities where it is solved, is better left in
+// the velocities than outside of the friction cones.
 void ConeSolver::keep_in_cones(const ConeProblem& problem, double* lambda) {
   for (const ConeContact& c : problem.contacts) {
     double* x = lambda + c.row;
@@ -182,6 +186,7 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
   reserve(m);
   newton_.reset();
   if (regularize) newton_.forget();
+  shifted_ = 0;
   if (lambda.size() != m || !map_.prepare(problem)) {
     lambda.setZero();
     result_.residual = std::numeric_limits<double>::infinity();
@@ -199,8 +204,9 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     if (!(result_.residual <= std::max(problem.accept, kConeTolerance)))
       result_.ok = rescue(problem, regularize, lambda.data());
     std::copy_n(best_.data(), m, lambda.data());
-    if (!result_.ok) keep_in_cones(problem, lambda.data());
+    keep_in_cones(problem, lambda.data());
   }
+  for (int k = 0; k < shifted_; ++k) shift_[k] -= lambda[k];
   result_.iterations = newton_.iterations();
   result_.factors = newton_.factors();
   return result_;

@@ -25,6 +25,10 @@ class ConeSolver {
   // lambda: start on entry, solution on return (m,) [N s]; finite also if the result is not ok. Problems that follow
   // without `regularize` have nearly the same matrix as the one before: its factors are tried first.
   ConeResult solve(const ConeProblem& problem, VecRef lambda, bool regularize);
+  // With `regularize`: by what the impulses with the shift, which are unique, differ from those of the last problem
+  // (m,); empty where that had one solution without it. Which contacts carry something, and which of them slip, is
+  // plain there, and rounding where impulses are least: a problem like it is best started from the sum of both.
+  Eigen::Map<const VecX> shift() const { return {shift_.data(), shifted_}; }
 
  private:
   bool one_contact(const ConeProblem& problem, double* lambda);
@@ -44,7 +48,8 @@ class ConeSolver {
   InteriorPoint<DenseSystem, DenseFactor> interior_;
   ConePoint point_;
   ConeResult result_;
-  std::vector<double> start_, best_, w_;
+  std::vector<double> start_, best_, w_, shift_;
+  int shifted_ = 0;  // rows that shift() has
 };
 
 }  // namespace contactvi

@@ -233,6 +233,7 @@ bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regu
 // coordinates from which the displacements of these joints count.
 void ContactStep::set_initial_impulses(double h) {
   lambda_ = h * start_forces_;
+  if (shift_.size() != rows_) shift_.setZero(rows_);
   for (int k = 0; k < friction_rows_; ++k) cones_[k] = joint_friction_cone(k, 0.5 * h * friction_joints_[k].limit);
   for (FrictionJoint& joint : friction_joints_)
     joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? node0_.q[joint.iq] : 0.0;
@@ -287,7 +288,11 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     const Agreement agreement =
         settled ? Agreement{kAgreeSettled, std::clamp(kAcceptShare * relative, kAccept, kAcceptFirst)}
                 : Agreement{kAgreeFirst, kAcceptFirst};
+    // Over so short a time impulses close rounding of gaps.
+    const bool usual = k == 0 && h >= kShort * nominal_h_;
+    if (usual) lambda_ += h * shift_;
     const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0, agreement);
+    if (usual) note_shift(h);
     if (k == 0) find_paradox();
     if (!solved) {
       why_ = "the contact forces were not found";
@@ -321,6 +326,13 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
   why_ = "the step with persistent contacts does not converge";
   if (node1_.known) constraints_met(h, false);
   return false;
+}
+
+// By what the start of the next problem like the one just solved differs from its impulses (ConeSolver::shift).
+void ContactStep::note_shift(double h) {
+  shift_.setZero(rows_);
+  const auto shift = solver_.shift();
+  if (shift.size() > 0) shift_.tail(shift.size()) = shift / h;
 }
 
 // The adhesion of a step of length h, half of it at each end.

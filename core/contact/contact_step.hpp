@@ -78,6 +78,7 @@ class ContactStep final : public Stepper {
     node0_.known = follows_ = false;
     velocities_.clear();
     row_forces_.clear();
+    shift_.resize(0);
     forget_parts();
     contraction_ = 1.0;
   }
@@ -216,7 +217,7 @@ class ContactStep final : public Stepper {
     Node node;
     std::vector<Vec3> reference_positions;
     std::vector<FrictionJoint> friction_joints;
-    VecX fixed_force, v_node, v1;
+    VecX fixed_force, v_node, v1, shift;
     Extrapolation::History velocities, row_forces;
     VecX p1;
     double contraction, nominal_h;
@@ -260,6 +261,7 @@ class ContactStep final : public Stepper {
   void end_node(const VecX& q1, double t1, const MotionValues& motions = {});
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
   bool turns_over() const;
+  void note_shift(double h);
   void note_contraction(double second, double first, double rounding);
   void start_forces();
   void forget_parts();
@@ -332,9 +334,11 @@ class ContactStep final : public Stepper {
   Extrapolation velocities_, row_forces_;
   // Of the parts of the step under way that were solved, by their lengths [s], the same.
   Interpolation part_velocities_, part_forces_;
-  bool shows_part_ = false;            // all results are those of the part of length h_
-  double contraction_ = 1.0;           // of the first iteration of a step with these contacts, as seen last; 1: unknown
-  VecX start_forces_, solved_forces_;  // of the rows: those from which iterations start, and to which they have led
+  bool shows_part_ = false;   // all results are those of the part of length h_
+  double contraction_ = 1.0;  // of the first iteration of a step with these contacts, as seen last; 1: unknown
+  // Of the rows: forces from which iterations start, those to which they have led, and what contact problems whose
+  // impulses are not unique start from besides (ConeSolver::shift).
+  VecX start_forces_, solved_forces_, shift_;
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
   const char* why_ = "";
 };

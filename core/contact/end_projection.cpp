@@ -61,7 +61,7 @@ bool ContactStep::velocity_impulses() {
     out.turned = contacts_[i].slip.dot(frame(i, node1_).slip(s)) < 0.0;
   }
   classify_joint_friction(speed);
-  lambda_end_ = lambda_;
+  lambda_end_ = lambda_ + h_ * shift_;
   if (!solve_ends(lambda_end_)) {
     why_ = "the contact forces at the end of a step were not found";
     return false;
@@ -275,21 +275,9 @@ ContactStepRecord ContactStep::record() const {
 }
 
 ContactStep::Memory ContactStep::memory() const {
-  return {contacts_,
-          outcomes_,
-          node0_,
-          reference_positions_,
-          friction_joints_,
-          fixed_force_,
-          v_node_,
-          v1_,
-          velocities_.history(),
-          row_forces_.history(),
-          p1_,
-          contraction_,
-          nominal_h_,
-          follows_,
-          modes_known_};
+  return {contacts_,    outcomes_,  node0_,   reference_positions_,  friction_joints_,      fixed_force_,
+          v_node_,      v1_,        shift_,   velocities_.history(), row_forces_.history(), p1_,
+          contraction_, nominal_h_, follows_, modes_known_};
 }
 
 void ContactStep::recall(const Memory& memory) {
@@ -303,6 +291,7 @@ void ContactStep::recall(const Memory& memory) {
   fixed_force_ = memory.fixed_force;
   v_node_ = memory.v_node;
   v1_ = memory.v1;
+  shift_ = memory.shift;
   velocities_.recall(memory.velocities);
   row_forces_.recall(memory.row_forces);
   p1_ = memory.p1;

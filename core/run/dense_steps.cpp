@@ -7,6 +7,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
+#include <vector>
 
 #include "run/simulator.hpp"
 
@@ -17,19 +19,42 @@ namespace {
 constexpr double kDearer = 3.0;
 // A step to which nothing happens may cost more: what stays at rest with located events is not solved any more.
 constexpr double kQuietDearer = 5.0;
-// [us] of bursts besides, of up to so many points; those of a grasp reach 1.2e5 (test_hand_scene.py). Runs that choose
-// their steps for an accuracy may spend it once per stage, each of which has its own distances.
-constexpr double kBurst = 1.5e5, kFew = 4.0;
+// [us] of bursts besides, of contacts with up to so many modes; those of a grasp by three fingers reach 1.2e5
+// (test_hand_scene.py). Runs that choose their steps for an accuracy may spend it once per stage, each of which has its
+// own distances.
+constexpr double kBurst = 1.5e5, kFewModes = 27.0;
+// A point is open or closed; with friction it is open, sticks or slides.
+constexpr double kModes = 2.0, kModesOfFriction = 3.0;
 constexpr double kCounted = 1e-3;  // [s] length of the dense steps that count, unless those of contact are shorter
 constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
 
-// Of what a burst of few points may cost, that of so many. Each of n points is open or closed, which makes 2^n sets:
-// what locating them tells is one of these, and worth the less the more there are that the same scene but for rounding
-// might have taken.
-double share_of_burst(double points) { return points > kFew ? std::exp2(kFew - points) : 1.0; }
+// Of two bodies so many points count: the others move with them.
+constexpr int kPointsOfBodies = 3;
+
+// The modes of contacts that are added one by one.
+class ModeCount {
+ public:
+  explicit ModeCount(const Scene& scene) : scene_(scene) {}
+
+  void add(int guard, double mu) {
+    if (scene_.is_pair(guard)) {
+      const Pair& pair = scene_.pairs[guard];
+      const int a = scene_.geometries[pair.a].body, b = scene_.geometries[pair.b].body;
+      seen_.emplace_back(std::min(a, b), std::max(a, b));
+      if (std::count(seen_.begin(), seen_.end(), seen_.back()) > kPointsOfBodies) return;
+    }
+    modes_ *= mu > 0.0 ? kModesOfFriction : kModes;
+  }
+  double modes() const { return modes_; }
+
+ private:
+  const Scene& scene_;
+  std::vector<std::pair<int, int>> seen_;
+  double modes_ = 1.0;
+};
 
 }  // namespace
 
@@ -54,6 +79,16 @@ double Simulator::points_now() const {
   return static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
 }
 
+// The share of a burst that contacts with so many modes as those of the present instant may cost: what locating them
+// tells is one of these modes, and worth the less the more there are that the same scene but for rounding might have
+// taken.
+double Simulator::share_of_burst() const {
+  ModeCount persistent(*scene_), closed(*scene_);
+  for (const PersistentContact& c : contact_step_.contacts()) persistent.add(c.point.guard, c.mu);
+  for (int i = 0; i < sequence_.count(); ++i) closed.add(sequence_.closed(i).guard, sequence_.closed(i).mu);
+  return std::min(1.0, kFewModes / std::max(persistent.modes(), closed.modes()));
+}
+
 // What locating events may cost in an interval of this length [us].
 double Simulator::allowed_cost(double length) const {
   return kDearer * length / std::min(contact_dt(), kCounted) * costs_.dense_step(points_now());
@@ -66,7 +101,7 @@ bool Simulator::events_accumulate(double cost, double length) const {
   const double burst = truncation_.bound > 0.0 ? kBurst * options_.stages : kBurst;
   // A phase of dense steps is some of them long: what costs less than those is not worth one.
   const double phase = DensePhase::kQuietSteps * costs_.dense_step(points_now());
-  return beyond > std::max(burst * share_of_burst(points_now()), phase);
+  return beyond > std::max(burst * share_of_burst(), phase);
 }
 
 // Whether a run that has ended so goes on with dense steps.

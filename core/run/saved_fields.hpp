@@ -190,9 +190,9 @@ void fields(Archive& a, Extrapolation::History& x) {
 
 template <class Archive>
 void fields(Archive& a, ContactStep::Memory& x) {
-  auto& [contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities,
+  auto& [contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, shift, velocities,
          row_forces, p1, contraction, nominal_h, follows, modes_known] = x;
-  values(a, contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities,
+  values(a, contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, shift, velocities,
          row_forces, p1, contraction, nominal_h, follows, modes_known);
 }
 

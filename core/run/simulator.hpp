@@ -271,6 +271,7 @@ class Simulator {
   bool end_violated(int constraint, double time);
   double located_cost() const;
   double points_now() const;
+  double share_of_burst() const;
   double allowed_cost(double length) const;
   bool locating_pays(int rows, int points) const;
   bool persistent_contacts_pay() const;
