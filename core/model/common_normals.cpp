@@ -143,6 +143,15 @@ bool CommonNormals::may_hold(const SearchedSurface::Part& a, const SearchedSurfa
   return out <= (std::abs(along) + reach) * a.spread && near * near + out * out <= limit * limit;
 }
 
+// Where it is positive, a lower bound on the gaps of common normals between two cells, as that of CylinderNormals: by the
+// normal of the one cell or of the other, from the plane through the middle of which a place in the other cell is no
+// farther than its middle but for the sags, and the angle between the two planes.
+double CommonNormals::least_gap(const SearchedSurface::Part& a, const SearchedSurface::Part& b) const {
+  const Vec3 its = R_ * b.normal, from = placed(b.place) - a.place;
+  const double sine = a.normal.cross(its).norm(), sags = a.sag() + b.sag();
+  return std::max(from.dot(a.normal) - sine * b.reach, -from.dot(its) - sine * a.reach) - sags;
+}
+
 // By the quadratic surfaces through both cells.
 CommonNormals::Guess CommonNormals::guess(const SearchedSurface::Part& a, const SearchedSurface::Part& b,
                                           const std::vector<CommonNormal>& found) const {
@@ -201,6 +210,9 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
   FoundNormals list(found, number, own, finite && first_.surface != nullptr ? distance_bound() : kInfinity);
   if (!finite) return;
   const auto limit = [&] { return std::max({list.nearest(), reach, kDeepest * own}); };
+  const auto matters = [&](const SearchedSurface::Part& a, const SearchedSurface::Part& b) {
+    return !(least_gap(a, b) > std::max({list.nearest(), reach, 0.0})) && guess(a, b, found) == Guess::kPossible;
+  };
   const auto add = [&](const Search& s, int which) {
     if (s.found() && is_overlap(s.result())) list.add(s.result(), which);
   };
@@ -218,7 +230,7 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
       const Vec3 y = placed(b.place);
       const double f = first_.normal.dot(y) - first_.offset;
       const SearchedSurface::Part a{y - f * first_.normal, first_.normal, Mat3::Zero(), b.reach, 0.0};
-      if (f - b.reach <= limit() && may_hold(a, b, kInfinity) && guess(a, b, found) == Guess::kPossible)
+      if (f - b.reach <= limit() && may_hold(a, b, kInfinity) && matters(a, b))
         search(a.place, b.place);
     }
   } else {
@@ -226,7 +238,7 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
     first_.surface->tree().near_pairs(second_->tree(), R_, t_, kInfinity, may, [&](int i, int j) {
       const SearchedSurface::Part &a = first_.surface->parts()[static_cast<std::size_t>(i)],
                                   &b = parts[static_cast<std::size_t>(j)];
-      if (may_hold(a, b, limit()) && guess(a, b, found) == Guess::kPossible) search(a.place, b.place);
+      if (may_hold(a, b, limit()) && matters(a, b)) search(a.place, b.place);
       return limit();
     });
   }

@@ -49,6 +49,7 @@ class CommonNormals {
   Vec3 placed(const Vec3& x) const { return R_ * x + t_; }
   bool is_overlap(const CommonNormal& c) const;
   bool may_hold(const SearchedSurface::Part& a, const SearchedSurface::Part& b, double limit) const;
+  double least_gap(const SearchedSurface::Part& a, const SearchedSurface::Part& b) const;
   double distance_bound() const;
   bool may_face(std::size_t node, std::size_t other) const;
   enum class Guess : std::uint8_t { kNone, kKnown, kPossible };
