@@ -143,9 +143,9 @@ bool CommonNormals::may_hold(const SearchedSurface::Part& a, const SearchedSurfa
   return out <= (std::abs(along) + reach) * a.spread && near * near + out * out <= limit * limit;
 }
 
-// Where it is positive, a lower bound on the gaps of common normals between two cells, as that of CylinderNormals: by the
-// normal of the one cell or of the other, from the plane through the middle of which a place in the other cell is no
-// farther than its middle but for the sags, and the angle between the two planes.
+// Where it is positive, a lower bound on the gaps of common normals between two cells, as that of CylinderNormals, by
+// the normal of the one cell or of the other. A place in the other one is farther from the plane through the middle of
+// that cell than its own middle is but for its sag and for the angle between the planes of the two.
 double CommonNormals::least_gap(const SearchedSurface::Part& a, const SearchedSurface::Part& b) const {
   const Vec3 its = R_ * b.normal, from = placed(b.place) - a.place;
   const double sine = a.normal.cross(its).norm(), sags = a.sag() + b.sag();

@@ -196,9 +196,9 @@ double CylinderNormals::distance_bound() const {
   return least * (1.0 + kSquareRounding);
 }
 
-// Where it is positive, a lower bound on the gaps of common normals with a cell: of one from q to x with the normal n(q)
-// n . (x - q) = gap n . n(q), no more than a positive gap and no less than a negative one; x is in the cylinder, and q no
-// farther than the sag from the plane through the middle of the cell.
+// Where it is positive, a lower bound on the gaps of common normals with a cell: of one from q to x with the normal
+// n(q) there is n . (x - q) = gap n . n(q), no more than a positive gap and no less than a negative one; x is in the
+// cylinder, and q no farther than the sag from the plane through the middle of the cell.
 double CylinderNormals::least_gap(const Part& cell) const {
   const Vec3 n = R_.transpose() * cell.normal;
   const double lowest = -cylinder_.radius * n.head<2>().norm() - cylinder_.half * std::abs(n[2]);

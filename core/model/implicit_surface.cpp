@@ -14,8 +14,8 @@ using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 
 constexpr int kSolidRounds = 60, kReturns = 30;
-// Of the size of a cell: a way back onto the surface that is no longer is the last one. What it leaves is its square, by
-// the curvature of the level set, which is no more than a few in a cell: of no more than 1e-14, and rounding.
+// Of the size of a cell: a way back onto the surface that is no longer is the last one. What it leaves is its square,
+// by the curvature of the level set, which is no more than a few in a cell: of no more than 1e-14, and rounding.
 constexpr double kBack = 1e-7;
 // Of the size of a cell: no longer step; and beyond this way another cell has searches of its own.
 constexpr double kLongest = 1.0, kFarthestCells = 4.0;
@@ -101,8 +101,8 @@ class ImplicitSurface::Search {
   State state_ = State::kSearches;
 };
 
-// The place on the surface next to p, and the level set there, but for what its second derivatives change by in the last
-// way, which the gradient has been told of.
+// The place on the surface next to p, and the level set there: the last way is so short that its second derivatives
+// stay what they were, and the gradient follows by them.
 bool ImplicitSurface::back(Vec3& p, LevelSet::Value& v) const {
   for (int k = 0; k < kReturns; ++k) {
     v = value(p);
