@@ -91,29 +91,52 @@ def three_feet(runs: Runs) -> list[Check]:
 
 
 def peg_in_hole(runs: Runs) -> list[Check]:
-    """A torque tilts a peg in a hole with play until both ends touch: sin(tilt) = 2 play / length."""
-    hole, half, peg, length, torque = 0.06, 0.2, 0.05, 0.2, 0.1
-    scene = Scene(np.zeros(3))
+    """A torque tilts a peg in a hole with play until both ends touch, by balls or, of a cylinder, by its rims.
 
-    def distance(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        beyond = np.maximum(np.abs(points[:, 2]) - half, 0.0)
-        out: NDArray[np.float64] = np.hypot(np.hypot(points[:, 0], points[:, 1]), beyond) - hole
-        return out
+    Balls: sin(tilt) = 2 play / length, with that of the radii. Rims: the width of the peg as seen from the side,
+    l sin + 2 r cos, is that of the hole, and their forces are l cos - 2 r sin apart.
+    """
+    torque, checks = 0.1, []
+    for what, rims, hole, peg, spacing, end in (
+        ("10 mm of play", False, 0.06, 0.05, 0.01, 0.15),
+        ("0.1 mm of play", False, 0.05005, 0.05, 0.01, 0.05),
+        ("0.1 mm of play, rims", True, 0.05005, 0.05, 0.01, 0.01),
+    ):
+        half, length = 0.2, 0.2
+        scene = Scene(np.zeros(3))
 
-    box = np.outer([1.3 * hole, 1.3 * hole, half + 1.3 * hole], [-1.0, 1.0])
-    scene.add_solid("hole", distance, box, 0.01, hollow=True)
-    scene.add_capsule("peg", peg, length, 1.0)
-    scene.add_wrench("peg", torque=(0.0, torque, 0.0))
-    scene.set_contact(restitution=0.0, friction=0.0)
-    traj = runs.simulate(scene, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], None, 0.15, 2e-3)
-    axis = pin.XYZQUATToSE3(traj.q[-1]).rotation[:, 2]
-    known = 2.0 * (hole - peg) / length
-    pushes = np.linalg.norm(traj.contacts.force[-2:], axis=1)
-    pair = np.full(2, torque / (length * math.sqrt(1.0 - known**2)))
-    return [
-        near("sine of the tilt", known, float(np.hypot(axis[0], axis[1])), 1e-4, "the spline of the hole"),
-        near("forces at the ends [N]", pair, pushes, 1e-3, "the same"),
-    ]
+        def distance(points: NDArray[np.float64], half: float = half, hole: float = hole) -> NDArray[np.float64]:
+            beyond = np.maximum(np.abs(points[:, 2]) - half, 0.0)
+            away: NDArray[np.float64] = np.hypot(np.hypot(points[:, 0], points[:, 1]), beyond) - hole
+            return away
+
+        # Three samples beyond the surface: the end conditions of the spline show in the ones next to it.
+        out = hole + 3.0 * spacing
+        box = np.outer([out, out, half + out], [-1.0, 1.0])
+        scene.add_solid("hole", distance, box, spacing, hollow=True)
+        if rims:
+            scene.add_cylinder("peg", peg, length, 1.0)
+        else:
+            scene.add_capsule("peg", peg, length, 1.0)
+        scene.add_wrench("peg", torque=(0.0, torque, 0.0))
+        scene.set_contact(restitution=0.0, friction=0.0)
+        traj = runs.simulate(scene, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], None, end, 2e-3)
+        axis = pin.XYZQUATToSE3(traj.q[-1]).rotation[:, 2]
+        known = 2.0 * (hole - peg) / length
+        if rims:
+            tilt = brentq(
+                lambda a, hole=hole, peg=peg, length=length: length * math.sin(a) + 2.0 * (peg * math.cos(a) - hole),
+                0.0, 0.1, xtol=1e-15,
+            )  # fmt: skip
+            known = math.sin(tilt)
+        pushes = np.linalg.norm(traj.contacts.force[-2:], axis=1)
+        arm = length * math.sqrt(1.0 - known**2) - (2.0 * peg * known if rims else 0.0)
+        pair = np.full(2, torque / arm)
+        checks += [
+            near(f"sine of the tilt, {what}", known, float(np.hypot(axis[0], axis[1])), 4e-6, "the spline of the hole"),
+            near(f"forces at the ends, {what} [N]", pair, pushes, 1e-5, "the same"),
+        ]
+    return checks
 
 
 def _wheel(radius: float, depth: float, teeth: int, half: float) -> Solid:

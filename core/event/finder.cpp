@@ -290,13 +290,14 @@ bool EventFinder::collect(int g) {
     ++guards_->counters.skipped;
     return true;
   }
-  const double gap = guards_->evaluate(g, contact_);
+  const bool may_jump = guards_->gap_may_jump(g);
+  const double gap = may_jump ? guards_->evaluate(g, contact_, gaps_.enough(g)) : guards_->evaluate(g, contact_);
   if (!std::isfinite(gap)) {
     fail(Search::kUnresolved, g, gap);
     return false;
   }
   if (!memory_.touching[g] && (scene_->is_pair(g) ? guards_->reliable(g, gap) : gap) > guards_->motion(g) &&
-      !guards_->gap_may_jump(g)) {
+      !may_jump) {
     guards_->mark(g, gap);
     return true;
   }

@@ -71,12 +71,16 @@ GapPath::Point GapPath::at(int guard, double tau) {
   guards_->list_joints(guard, joints_);
   path_->configuration(tau, joints_, q_);
   guards_->place(q_);
-  // Where features may appear at any gap no longer interval is clear than the smooth ones.
-  const double part = guards_->gap_may_jump(guard) ? smooth_width(guard) : 1.0;
-  const double gap = guards_->evaluate(guard, contact_, kFar * part * guards_->motion(guard));
+  const double gap = guards_->evaluate(guard, contact_, enough(guard));
   if (!std::isfinite(gap)) return {tau, gap, gap};
   guards_->gradient(guard, contact_, W_);
   return {tau, gap, rate(guard, tau, W_)};
+}
+
+// Where features may appear at any gap no longer interval is clear than the smooth ones.
+double GapPath::enough(int guard) const {
+  const double part = guards_->gap_may_jump(guard) ? smooth_width(guard) : 1.0;
+  return kFar * part * guards_->motion(guard);
 }
 
 GapPath::Point GapPath::at_with_direction(int guard, double tau) {

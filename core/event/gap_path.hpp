@@ -39,6 +39,9 @@ class GapPath {
   // d(gap)/d(tau) at tau of the guard's gap with the gradient W there, shape (nv,).
   double rate(int guard, double tau, const VecX& W);
 
+  // A larger gap of a guard need not be known: what is a clear interval does not depend on how much larger it is.
+  double enough(int guard) const;
+
   // As at, of the shapes of a pair along a direction that their base keeps.
   double along(int guard, double tau, const Vec3& direction);
   // The least that a distance along one direction may be on the exact path between two places, `width` apart, where it

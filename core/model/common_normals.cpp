@@ -143,6 +143,15 @@ bool CommonNormals::may_hold(const SearchedSurface::Part& a, const SearchedSurfa
   return out <= (std::abs(along) + reach) * a.spread && near * near + out * out <= limit * limit;
 }
 
+// Where it is positive, a lower bound on the gaps of common normals between two cells, as that of CylinderNormals, by
+// the normal of the one cell or of the other. A place in the other one is farther from the plane through the middle of
+// that cell than its own middle is but for its sag and for the angle between the planes of the two.
+double CommonNormals::least_gap(const SearchedSurface::Part& a, const SearchedSurface::Part& b) const {
+  const Vec3 its = R_ * b.normal, from = placed(b.place) - a.place;
+  const double sine = a.normal.cross(its).norm(), sags = a.sag() + b.sag();
+  return std::max(from.dot(a.normal) - sine * b.reach, -from.dot(its) - sine * a.reach) - sags;
+}
+
 // By the quadratic surfaces through both cells.
 CommonNormals::Guess CommonNormals::guess(const SearchedSurface::Part& a, const SearchedSurface::Part& b,
                                           const std::vector<CommonNormal>& found) const {
@@ -168,8 +177,22 @@ CommonNormals::Guess CommonNormals::guess(const SearchedSurface::Part& a, const 
   return known ? Guess::kKnown : Guess::kPossible;
 }
 
-// An upper bound on the distance of the surfaces: that of two places in their cells, each the nearest one to the other.
+double CommonNormals::height(const Vec3& x) const { return first_.normal.dot(placed(x)) - first_.offset; }
+
+double CommonNormals::lowest(const BoxTree::Box& box) const {
+  return height(box.center()) - 0.5 * (R_.transpose() * first_.normal).cwiseAbs().dot(box.sizes());
+}
+
+// An upper bound on the distance of the surfaces: that of two places in their cells, each the nearest one to the other;
+// from a plane that of the lowest place.
 double CommonNormals::distance_bound() const {
+  if (first_.surface == nullptr) {
+    double least = kInfinity;
+    second_->tree().where(
+        [&](const BoxTree::Box& box) { return lowest(box) < least; },
+        [&](int k) { least = std::min(least, height(second_->parts()[static_cast<std::size_t>(k)].place)); });
+    return std::max(0.0, least);
+  }
   const auto nearest = [](const SearchedSurface& of, Vec3& x) {
     double least = kInfinity;
     int best = -1;
@@ -198,9 +221,12 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
                         std::vector<int>& number) const {
   const double own = size();
   const bool finite = t_.allFinite() && R_.allFinite();
-  FoundNormals list(found, number, own, finite && first_.surface != nullptr ? distance_bound() : kInfinity);
+  FoundNormals list(found, number, own, finite ? distance_bound() : kInfinity);
   if (!finite) return;
   const auto limit = [&] { return std::max({list.nearest(), reach, kDeepest * own}); };
+  const auto matters = [&](const SearchedSurface::Part& a, const SearchedSurface::Part& b) {
+    return !(least_gap(a, b) > std::max({list.nearest(), reach, 0.0})) && guess(a, b, found) == Guess::kPossible;
+  };
   const auto add = [&](const Search& s, int which) {
     if (s.found() && is_overlap(s.result())) list.add(s.result(), which);
   };
@@ -214,19 +240,20 @@ void CommonNormals::all(const std::vector<CommonNormal>& known, double reach, st
   };
   const std::vector<SearchedSurface::Part>& parts = second_->parts();
   if (first_.surface == nullptr) {
-    for (const SearchedSurface::Part& b : parts) {
-      const Vec3 y = placed(b.place);
-      const double f = first_.normal.dot(y) - first_.offset;
-      const SearchedSurface::Part a{y - f * first_.normal, first_.normal, Mat3::Zero(), b.reach, 0.0};
-      if (f - b.reach <= limit() && may_hold(a, b, kInfinity) && guess(a, b, found) == Guess::kPossible)
-        search(a.place, b.place);
-    }
+    second_->tree().where([&](const BoxTree::Box& box) { return lowest(box) <= limit(); },
+                          [&](int k) {
+                            const SearchedSurface::Part& b = parts[static_cast<std::size_t>(k)];
+                            const double f = height(b.place);
+                            const SearchedSurface::Part a{placed(b.place) - f * first_.normal, first_.normal,
+                                                          Mat3::Zero(), b.reach, 0.0};
+                            if (may_hold(a, b, kInfinity) && matters(a, b)) search(a.place, b.place);
+                          });
   } else {
     const auto may = [this](std::size_t k, std::size_t l) { return may_face(k, l); };
     first_.surface->tree().near_pairs(second_->tree(), R_, t_, kInfinity, may, [&](int i, int j) {
       const SearchedSurface::Part &a = first_.surface->parts()[static_cast<std::size_t>(i)],
                                   &b = parts[static_cast<std::size_t>(j)];
-      if (may_hold(a, b, limit()) && guess(a, b, found) == Guess::kPossible) search(a.place, b.place);
+      if (may_hold(a, b, limit()) && matters(a, b)) search(a.place, b.place);
       return limit();
     });
   }

@@ -49,6 +49,10 @@ class CommonNormals {
   Vec3 placed(const Vec3& x) const { return R_ * x + t_; }
   bool is_overlap(const CommonNormal& c) const;
   bool may_hold(const SearchedSurface::Part& a, const SearchedSurface::Part& b, double limit) const;
+  double least_gap(const SearchedSurface::Part& a, const SearchedSurface::Part& b) const;
+  // Over the plane that is the first surface: of a place on the second one, and of a box in its frame at least.
+  double height(const Vec3& x) const;
+  double lowest(const BoxTree::Box& box) const;
   double distance_bound() const;
   bool may_face(std::size_t node, std::size_t other) const;
   enum class Guess : std::uint8_t { kNone, kKnown, kPossible };

@@ -196,6 +196,15 @@ double CylinderNormals::distance_bound() const {
   return least * (1.0 + kSquareRounding);
 }
 
+// Where it is positive, a lower bound on the gaps of common normals with a cell: of one from q to x with the normal
+// n(q) there is n . (x - q) = gap n . n(q), no more than a positive gap and no less than a negative one; x is in the
+// cylinder, and q no farther than the sag from the plane through the middle of the cell.
+double CylinderNormals::least_gap(const Part& cell) const {
+  const Vec3 n = R_.transpose() * cell.normal;
+  const double lowest = -cylinder_.radius * n.head<2>().norm() - cylinder_.half * std::abs(n[2]);
+  return cell.normal.dot(t_ - cell.place) + lowest - cell.sag();
+}
+
 // Places on a part from which the distance may fall to a common normal with a cell: none where its normals, or how far
 // it is, leave none.
 void CylinderNormals::starts_at(int part, const Part& cell, double limit, std::vector<Vec3>& starts) const {
@@ -323,7 +332,8 @@ void CylinderNormals::all(const std::vector<CommonNormal>& known, double reach, 
       [&](const BoxTree::Box& box) { return distance(box.center()) - 0.5 * box.diagonal().norm() <= limit(); },
       [&](int k) {
         const Part& cell = surface_->parts()[static_cast<std::size_t>(k)];
-        if (distance(cell.place) - cell.reach <= limit()) look(cell);
+        const double wanted = std::max(list.nearest(), reach);
+        if (distance(cell.place) - cell.reach <= limit() && !(least_gap(cell) > std::max(wanted, 0.0))) look(cell);
       });
   replace_flat_rims(list);
   const std::vector<CommonNormal> all_found = found;

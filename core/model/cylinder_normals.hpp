@@ -81,6 +81,7 @@ class CylinderNormals {
   std::array<Border, 2> borders(const Search& s) const;
   bool is_beyond(const Search& s) const;
   double distance_bound() const;
+  double least_gap(const Part& cell) const;
   void starts_at(int part, const Part& cell, double limit, std::vector<Vec3>& starts) const;
   bool rim_point(int rim, int k, const CommonNormal& next_to, CommonNormal& found) const;
   void replace_flat_rims(FoundNormals& list) const;

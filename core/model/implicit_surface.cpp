@@ -14,8 +14,9 @@ using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 
 constexpr int kSolidRounds = 60, kReturns = 30;
-// Of the size of a cell: what is left of the way back onto the surface, where the next step is rounding.
-constexpr double kBack = 1e-9;
+// Of the size of a cell: a way back onto the surface that is no longer is the last one. What it leaves is its square,
+// by the curvature of the level set, which is no more than a few in a cell: of no more than 1e-14, and rounding.
+constexpr double kBack = 1e-7;
 // Of the size of a cell: no longer step; and beyond this way another cell has searches of its own.
 constexpr double kLongest = 1.0, kFarthestCells = 4.0;
 // With a lower curvature of the squared distance a place is a saddle and no foot.
@@ -45,7 +46,7 @@ class ImplicitSurface::Search {
   double square() const { return square_; }
   const Vec3& at() const { return at_; }
   SurfaceFoot foot() const { return {normal_.dot(x_ - at_), normal_}; }
-  Place place() const { return place_of(at_, value_); }
+  Place place() const { return place_of(at_, surface_->value(at_)); }
   // A place beside a saddle.
   Vec3 beside() const { return at_ + 0.3 * surface_->size() * any_tangent(normal_); }
 
@@ -100,7 +101,8 @@ class ImplicitSurface::Search {
   State state_ = State::kSearches;
 };
 
-// The place on the surface next to p, and the level set there.
+// The place on the surface next to p, and the level set there: the last way is so short that its second derivatives
+// stay what they were, and the gradient follows by them.
 bool ImplicitSurface::back(Vec3& p, LevelSet::Value& v) const {
   for (int k = 0; k < kReturns; ++k) {
     v = value(p);
@@ -110,8 +112,9 @@ bool ImplicitSurface::back(Vec3& p, LevelSet::Value& v) const {
     const double longest = kLongest * size(), length = step.norm();
     p -= length > longest ? Vec3(longest / length * step) : step;
     if (length > kBack * size()) continue;
-    v = value(p);
-    return std::isfinite(v.f);
+    v.f = 0.0;
+    v.gradient -= v.hessian * step;
+    return true;
   }
   return false;
 }
@@ -217,15 +220,15 @@ SurfaceFoot ImplicitSurface::foot_near(const Vec3& point, const Vec3& place) con
 bool ImplicitSurface::foot_place(const Vec3& point, const Vec3& start, Place& foot) const {
   const Search s(*this, point, start, kInfinity);
   if (s.found()) foot = s.place();
-  return s.found();
+  return s.found() && foot.normal.allFinite();
 }
 
 bool ImplicitSurface::onto(const Vec3& point, Place& place) const {
   Vec3 p = point;
   LevelSet::Value v;
   if (!back(p, v)) return false;
-  place = place_of(p, v);
-  return true;
+  place = place_of(p, value(p));
+  return place.normal.allFinite();
 }
 
 Mat3 ImplicitSurface::bend(const Vec3& point, const Vec3& place) const {

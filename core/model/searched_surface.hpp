@@ -1,6 +1,7 @@
 // Surfaces whose feet are searched for in the cells of a grid.
 #pragma once
 
+#include <cmath>
 #include <utility>
 #include <vector>
 
@@ -34,6 +35,9 @@ class SearchedSurface : public FunctionSurface {
     Vec3 place, normal;
     Mat3 bend;
     double reach, spread;
+
+    // How far it may be from the plane through the place, across the normal [m]; infinite: not known.
+    double sag() const { return spread < 1.0 ? reach * spread / std::sqrt(1.0 - spread * spread) : spread; }
   };
   const std::vector<Part>& parts() const { return parts_; }
   const BoxTree& tree() const { return tree_; }  // of the boxes of the parts

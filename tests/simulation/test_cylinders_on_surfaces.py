@@ -119,6 +119,28 @@ def test_shallow_overlaps_have_their_depth() -> None:
         assert first[:, 0].min() > 0.0
 
 
+def test_a_short_reach_finds_what_a_long_one_does() -> None:
+    """A peg that touches in a cavity: cells that a bound on their gaps leaves out for the short one have none in it."""
+    scene = cvi.Scene()
+    scene.add_solid("ground", cavity, [(-0.08, 0.08), (-0.08, 0.08), (-0.28, 0.28)], 0.015, hollow=True)
+    scene.add_cylinder("can", 0.045, 0.1)
+    rng = np.random.default_rng(6)
+    most = 0
+    for _ in range(20):
+        R = pin.exp3(np.array([*rng.uniform(-0.09, 0.09, 2), 0.0]))
+        t = np.array([*rng.uniform(-1e-3, 1e-3, 2), rng.uniform(-0.05, 0.05)])
+        every = normals_of(scene, R, t, 4e-3)
+        for reach in (0.0, 1e-5, 1e-3):
+            found = normals_of(scene, R, t, reach)
+            wanted = every[every[:, 0] <= max(reach, every[:, 0].min()) - 1e-12]
+            assert abs(found[:, 0].min() - every[:, 0].min()) < 1e-12
+            for row in wanted:
+                off = np.abs(found[:, [0, *range(4, 11)]] - row[[0, *range(4, 11)]]).max(axis=1)
+                assert off.min() < 1e-8
+            most = max(most, len(wanted))
+    assert most > 1
+
+
 # --- motions ---------------------------------------------------------------------------------------------------------
 
 

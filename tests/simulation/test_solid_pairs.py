@@ -118,6 +118,22 @@ def test_common_normals(pair: tuple[str, str]) -> None:
     assert compared >= 2  # poses that overlap deeply are left out
 
 
+@pytest.mark.parametrize("pair", [("torus", "stone"), ("stone", "stone")])
+def test_a_short_reach_finds_what_a_long_one_does(pair: tuple[str, str]) -> None:
+    """Cells that a bound on their gaps leaves out for the short one have no common normal within it."""
+    scene, _, _ = two_solids(*pair)
+    rng = np.random.default_rng(7)
+    for _ in range(6):
+        R, t = random_pose(rng, 0.9 if pair[0] == "torus" else 0.6)
+        every = normals_of(scene, R, t, 0.3)
+        least = every[:, 0].min()
+        for reach in (0.0, max(least, 0.0) + 0.05):
+            found = normals_of(scene, R, t, reach)
+            assert abs(found[:, 0].min() - least) < 1e-12
+            for row in every[every[:, 0] <= reach - 1e-9]:
+                assert np.abs(found - row).max(axis=1).min() < 1e-7
+
+
 def test_two_spheres_have_one_common_normal() -> None:
     """Superellipsoids of exponent 2 and equal axes: the distance of two balls, to rounding, apart and overlapping."""
     scene = cvi.Scene()
