@@ -6,7 +6,11 @@ search", ACM Transactions on Graphics 41 (2022). It is asked with a fixed seed, 
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import subprocess
+import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -167,21 +171,44 @@ def _checked(file: MeshFile, read: Any) -> None:
         raise unreadable(Path(file.path), error) from error
 
 
+# In a process of its own: CoACD ends the process on some meshes.
+_DECOMPOSE = """
+import sys
+import coacd
+import numpy as np
+
+mesh = np.load(sys.argv[1])
+coacd.set_log_level("error")
+made = coacd.run_coacd(coacd.Mesh(mesh["vertices"], mesh["faces"]), threshold=float(mesh["concavity"]), seed=0)
+np.savez(sys.argv[2], *[points for points, _ in made])
+"""
+
+
 def _pieces(vertices: Array, faces: NDArray[np.int64], concavity: float) -> list[Array]:
     """Return the vertices of the pieces of a closed surface, from the cache on disk where they are there."""
     key = cache.key("pieces of a mesh", vertices.tobytes(), faces.tobytes(), concavity)
     if found := cache.find(key):
         return [np.array(points, dtype=float) for points in found]
-    try:
-        import coacd
-    except ImportError:
+    if importlib.util.find_spec("coacd") is None:
         raise SceneError(
             "Meshes are decomposed by CoACD, which is not installed", expected="the package coacd", got="none",
             remedy='pip install "contactvi[decompose]", or use decompose=False, the hull',
-        ) from None  # fmt: skip
-    coacd.set_log_level("error")
-    made = coacd.run_coacd(coacd.Mesh(vertices, faces.astype(np.int32)), threshold=concavity, seed=0)
-    pieces = [np.array(points, dtype=float) for points, _ in made]
+        )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        mesh, result = Path(folder) / "mesh.npz", Path(folder) / "pieces.npz"
+        np.savez(mesh, vertices=vertices, faces=faces.astype(np.int32), concavity=concavity)
+        done = subprocess.run(
+            [sys.executable, "-c", _DECOMPOSE, str(mesh), str(result)], capture_output=True, text=True, check=False
+        )
+        if done.returncode != 0 or not result.exists():
+            why = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"])[-1]
+            raise SceneError(
+                "CoACD did not decompose a mesh", expected="a closed surface that it takes", got=short(why),
+                remedy="Join vertices at one place and take out triangles without an area, or use decompose=False, "
+                'the hull, or shape="field"',
+            )  # fmt: skip
+        with np.load(result) as made:
+            pieces = [np.array(made[name], dtype=float) for name in made.files]
     cache.keep(key, pieces)
     return pieces
 

@@ -141,7 +141,9 @@ bool ContactStep::force_problem(VecX& value) {
     cone.d = frame(i, node1_).rows(out.slip_W).normalized();
   }
   if (friction_varies_) set_force_coefficients();
-  change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_ + 2.0 * shift_) : VecX(VecX::Zero(rows_));
+  change_.setZero(rows_);
+  if (h_ > 0.0) change_ = (2.0 / h_) * lambda_end_;
+  if (h_ > 0.0 && shift_.size() == rows_) change_ += 2.0 * shift_;
   if (!solve_forces(change_)) return false;
   b_.noalias() += G_end_ * change_;
   value.resize(static_cast<Eigen::Index>(contacts_.size()));

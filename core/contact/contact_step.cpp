@@ -332,7 +332,8 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
 void ContactStep::note_shift(double h) {
   shift_.setZero(rows_);
   const auto shift = solver_.shift();
-  if (shift.size() > 0) shift_.tail(shift.size()) = shift / h;
+  // Constraints alone ask for no solver.
+  if (rows_ > bilateral_ && shift.size() > 0) shift_.tail(rows_ - bilateral_) = shift / h;
 }
 
 // The adhesion of a step of length h, half of it at each end.

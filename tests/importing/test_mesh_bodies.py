@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from contactvi.importing import mesh_bodies
 
 SIZES = np.array([0.2, 0.3, 0.1])
 CORNERS = 0.5 * SIZES * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -169,6 +170,9 @@ def test_what_is_no_mesh_is_refused(tmp_path, monkeypatch):
     (tmp_path / "text.stl").write_text("no mesh")
     with pytest.raises(cvi.ContactviError, match="text.stl"):
         scene.add_mesh("text", tmp_path / "text.stl")
+    monkeypatch.setattr(mesh_bodies, "_DECOMPOSE", "import os; os.abort()")
+    with pytest.raises(cvi.SceneError, match="Join vertices at one place"):
+        scene.add_mesh("pieces", (0.9 * CORNERS, FACES), decompose=True)
     monkeypatch.setitem(sys.modules, "coacd", None)
     with pytest.raises(cvi.SceneError, match=r'pip install "contactvi\[decompose\]"'):
         scene.add_mesh("pieces", (CORNERS, FACES), decompose=True)
