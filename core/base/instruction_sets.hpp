@@ -1,5 +1,5 @@
-// Functions in plain loops that the compiler makes once for every processor and once for wider vectors; the loader takes
-// what the processor has.
+// Functions in plain loops that the compiler makes once for every processor and once for wider vectors; the loader
+// takes what the processor has.
 #pragma once
 
 // Multiplications and additions are not fused in either, and sums are in the order in which they are written: the
