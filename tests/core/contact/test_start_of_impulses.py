@@ -1,4 +1,4 @@
-"""Contacts that share a load in many ways: problems start from the impulses that are unique, so few iterations are left."""
+"""Contacts that share a load in many ways: their problems start from the impulses that are unique."""
 
 from __future__ import annotations
 
