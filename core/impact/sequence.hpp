@@ -59,8 +59,10 @@ class ImpactSequence {
   const ClosedGuard& closed(int i) const { return closed_[i]; }
   // Largest normal speed of a closed contact at p.
   double largest_speed(const VecX& p) const;
-  // The limit of max_impacts_per_step counts from here, and what an earlier step has closed is forgotten.
-  void begin_step() { impacts_in_step_ = count_ = 0; }
+  // The limit of max_impacts_per_step counts from here.
+  void begin_step() { impacts_in_step_ = 0; }
+  // Nothing is closed until the next collection.
+  void forget() { count_ = 0; }
   // Impacts until nothing closes: p changes, and the losses are subtracted from the reference. Otherwise code(),
   // message() and guard() tell why not. plastic: guards whose e counts as zero.
   bool run(const Instant& at, const std::vector<char>& plastic, ImpactReference& reference, VecX& p,

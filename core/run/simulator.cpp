@@ -314,6 +314,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   const long halved = state_.control.halved;
   long parts = 0;
   sequence_.begin_step();
+  sequence_.forget();
   changes_.begin_interval();
   const bool dense_allowed = allows_dense_steps();
   double spent = 0.0;

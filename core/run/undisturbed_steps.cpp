@@ -40,6 +40,7 @@ WorkAccount::FreeWork Simulator::foreseen_work(int step) {
 void Simulator::pass_foreseen(int count, double last_start) {
   const StepsAhead& steps = foreseen();
   sequence_.begin_step();
+  sequence_.forget();
   changes_.begin_interval();
   state_.dense.located.add(0.0, count * allowed_cost(options_.dt));
   state_.dense.since_return += count;
