@@ -19,8 +19,8 @@ from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.direction import EXACT, Direction, change_along
 from contactvi.trajectory.gradient import Cost, cost_gradients, gradient
 from contactvi.trajectory.sensitivity import (
-    ON_KINK,
     Recorded,
+    check_on_kink,
     not_differentiable,
     recorded_run,
     wanted,
@@ -62,7 +62,7 @@ def hessian_vector(
 ) -> HessianVector:
     """Return H w; arguments as those of contactvi.hessian_vector, and the scene of the run."""
     check_choice("method", method, METHODS, "Unknown way to second derivatives")
-    check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+    check_on_kink(on_kink)
     direction = Direction(traj, compiled, w)
     names = direction.names if wrt is None else wanted(wrt)
     for name in names:
