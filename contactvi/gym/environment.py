@@ -115,7 +115,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
 
     @abstractmethod
     def start(self, options: dict[str, Any]) -> tuple[Array, Array]:
-        """Draw an episode with `self.np_random`; return its start, q (nq,) and v (nv,)."""
+        """Draw an episode with `self.np_random`; return its start, q (nq,) and v (nv,), or None for the scene's."""
 
     @abstractmethod
     def observe(self, q: Array, v: Array) -> Array:
@@ -145,7 +145,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         self._prepared = None
         if self.render_mode == "human":
             self._show()
-        return self._seen(q, v), self._info(self.simulator.status)
+        return self._seen(self.simulator.q, self.simulator.v), self._info(self.simulator.status)
 
     def step(self, action: Any) -> StepResult:
         """Go on by a frame; return observation, reward, terminated, truncated, info.

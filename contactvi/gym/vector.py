@@ -102,16 +102,16 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
             InputError: for actions of another shape, and with DISABLED for an environment that has not been reset.
             SimulationError: before `reset`.
         """
-        if not self._begun:
-            raise SimulationError(
-                "No episode has begun", expected="environments that have been reset", got="none",
-                remedy="Call envs.reset(seed=1) first",
-            )  # fmt: skip
         values = np.asarray(actions)
         if values.shape[:1] != (self.num_envs,):
             raise InputError(
                 "Actions", name="actions", expected=f"an array of shape {self.action_space.shape}",
                 got=short(actions), remedy="Take envs.action_space.sample() as an example",
+            )  # fmt: skip
+        if not self._begun:
+            raise SimulationError(
+                "No episode has begun", expected="environments that have been reset", got="none",
+                remedy="Call envs.reset(seed=1) first",
             )  # fmt: skip
         if self._mode == AutoresetMode.DISABLED and self._ended.any():
             raise InputError(
