@@ -262,7 +262,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
 def _pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
     """Return the two things that a method of the environment has returned; InputError where it has returned others."""
     if isinstance(value, (tuple, list)) and len(value) == 2:
-        return value
+        return value[0], value[1]
     raise InputError(
         f"{name} returned something else", name=name, expected=f"a pair: {meaning}", got=short(value),
         remedy=f"End {name} with " + ("return q, v" if name == "start" else "return reward, ended"),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, DerivativeError, InputError, NotDifferentiable
 from contactvi.inputs import array, check_choice, check_signature, short
+from contactvi.text import fields_shown
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.direction import EXACT, Direction, change_along
 from contactvi.trajectory.gradient import Cost, cost_gradients, gradient
@@ -47,6 +48,8 @@ class HessianVector:
     gradient: dict[str, Array]
     value: float | None
     approximate: ContactviError | str | None
+
+    __repr__ = fields_shown
 
 
 def hessian_vector(
