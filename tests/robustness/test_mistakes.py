@@ -61,6 +61,11 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "another name of inputs": (lambda: problem().pack({"u": 1.0}), "Use one of 'inputs'"),
     "inputs of another scene": (lambda: problem(Inputs(falling(), torques="*")), r"inputs=Inputs\(scene"),
     "positive inside": (lambda: solid(lambda p: 1.0 - np.sum(p**2, axis=1)), "Change the sign"),
+    "arguments that are missing": (
+        lambda: cvi.Scene().add_thread("screw", radius=0.01),  # type: ignore[call-arg]
+        "lacks 'depth' and 'pitch' and 'length': .*Give depth=..., pitch=..., length=...",
+    ),
+    "one of two gains": (lambda: pendulum().set_servo("joint_1", kp=1.0), "Give kd=..."),  # type: ignore[call-arg]
     "law of nothing": (lambda: slide(lambda slip, normal, t: None), "got None"),
 }
 
