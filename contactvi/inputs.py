@@ -210,12 +210,19 @@ def listed(name: str, value: Any, meaning: str) -> Sequence[Any]:
     return value
 
 
-def check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> None:
-    """Raise InputError, saying `what` is wrong, where the value is none of the choices."""
+def check_choice(
+    name: str, value: Any, choices: Sequence[str], what: str, remedies: Mapping[str, str] | None = None
+) -> None:
+    """Raise InputError, saying `what` is wrong, where the value is none of the choices.
+
+    Args:
+        remedies: what to do instead of values that users are known to give.
+    """
     if isinstance(value, str) and value in choices:
         return
     expected = " | ".join(repr(choice) for choice in choices)
-    raise InputError(what, name=name, expected=expected, got=short(value), remedy=did_you_mean(_word(value), choices))
+    remedy = (remedies or {}).get(_word(value)) or did_you_mean(_word(value), choices)
+    raise InputError(what, name=name, expected=expected, got=short(value), remedy=remedy)
 
 
 def short(value: Any) -> str:

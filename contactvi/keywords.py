@@ -121,9 +121,11 @@ def check_keywords(function: Callable[..., Any], given: Iterable[str], caller: s
 
 
 def refusing(function: Function) -> Function:
-    """Let a function refuse unknown keywords with an InputError that names what may have been meant."""
-    parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "self"]
-    known = {p.name for p in parameters}
+    """Let a function refuse unknown and missing arguments with an InputError that names what may have been meant."""
+    whole = list(inspect.signature(function).parameters.values())
+    parameters = [p for p in whole if p.name != "self"]
+    known, needed = {p.name for p in parameters}, {p.name for p in parameters if p.default is p.empty}
+    needed -= {p.name for p in parameters if p.kind is p.VAR_POSITIONAL}
     if not known or any(p.kind is p.VAR_KEYWORD for p in parameters):
         return function
 
@@ -136,13 +138,22 @@ def refusing(function: Function) -> Function:
                 expected=f"some of {', '.join(p.name for p in parameters)}", got=name,
                 remedy=meant(name, [p.name for p in parameters]),
             )  # fmt: skip
+        missing = needed - named.keys() - {p.name for p in whole[: len(arguments)]} if needed else None
+        if missing:
+            lacking = [p.name for p in parameters if p.name in missing]
+            raise InputError(
+                f"{function.__name__} lacks " + " and ".join(map(repr, lacking)), name=lacking[0],
+                expected=", ".join(p.name for p in parameters if p.name in needed),
+                got=", ".join(p.name for p in parameters if p.name in needed - missing) or "none of them",
+                remedy="Give " + ", ".join(f"{name}=..." for name in lacking),
+            )  # fmt: skip
         return function(*arguments, **named)
 
     return call  # type: ignore[return-value]
 
 
 def refusing_methods(cls: Class) -> Class:
-    """Let all public methods of a class refuse unknown keywords."""
+    """Let all public methods of a class refuse unknown and missing arguments."""
     for name, function in list(vars(cls).items()):
         if not name.startswith("_") and inspect.isfunction(function):
             setattr(cls, name, refusing(function))

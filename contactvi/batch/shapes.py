@@ -110,9 +110,11 @@ def leading_of(name: str, shape: Shape, single: Shape) -> int | None:
         return None
     if len(shape) == len(single) + 1 and shape[1:] == single and shape[0] > 0:
         return shape[0]
+    column = single == (1,) and len(shape) == 1
     raise InputError(
         f"{name} has the wrong shape", name=name, expected=f"{single}, or (runs, {', '.join(map(str, single))})",
-        got=shape, remedy="Give one run, or one row for each run of the batch",
+        got=shape, remedy="Give values[:, None], a row with one number for each run" if column
+        else "Give one run, or one row for each run of the batch",
     )  # fmt: skip
 
 

@@ -36,6 +36,7 @@ from contactvi.errors import ContactviError, InputError, SceneError
 from contactvi.files import UNREADABLE, as_a_path, check_free, checked_path, told, write_atomic
 from contactvi.inputs import short
 from contactvi.options import Options
+from contactvi.records.rows import place_of
 from contactvi.scene.fingerprint import fingerprint
 from contactvi.version import version
 
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
 
 FORMAT = "contactvi-batch"
 SCHEMA = 1
+# What shards have in common: the entry of their headers, and what it is called.
+_SHARED = {"fingerprint": "scene", "keep": "keep", "options": "options", "given": "what was given"}
 
 
 def save_batch(
@@ -103,12 +106,12 @@ def join_batches(
     parts = [batch if isinstance(batch, StoredBatch) else load_batch(batch) for batch in batches]
     first = parts[0].header
     for part in parts[1:]:
-        unlike = [name for name in ("fingerprint", "keep", "options", "given") if part.header[name] != first[name]]
+        unlike = [name for name in _SHARED if part.header[name] != first[name]]
         if unlike:
             raise InputError(
                 f"The batches {parts[0].path} and {part.path} do not belong together", name="batches",
                 expected="one scene, the same options, keep and names of what was given",
-                got="another " + " and ".join("scene" if name == "fingerprint" else name for name in unlike),
+                got="runs that differ in " + " and ".join(_SHARED[name] for name in unlike),
                 remedy="Join the shards of one call, or make them again with the same scene and options",
             )  # fmt: skip
     header = {**first, "runs": sum(map(len, parts)), "key": None}
@@ -226,7 +229,7 @@ class StoredBatch(Batch):
                 such run. SceneError: the file is damaged.
         """
         if isinstance(k, (int, np.integer)):
-            _ = range(self._runs)[int(k)]
+            place_of(int(k), self._runs, "Run")
             raise not_kept(self.keep, k)
         none = isinstance(k, str) or (not isinstance(k, slice) and len(k) == 0)
         chosen = np.zeros(0, dtype=int) if none else np.arange(self._runs)[k]

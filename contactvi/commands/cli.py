@@ -7,7 +7,7 @@ run ended early, with its files written where it has some; 4 the run has no deri
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,6 +32,7 @@ from contactvi.commands.output import PAGE, PLOTS, RUN, Phases, own_folder, prin
 from contactvi.commands.pictures import CameraOption, camera_value, play, plot_run, render
 from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
 from contactvi.interrupts import held_back
+from contactvi.keywords import synonym
 from contactvi.status import StatusCode
 from contactvi.tables import name_table, print_table
 from contactvi.version import version
@@ -79,6 +80,16 @@ class _Commands(typer.core.TyperGroup):
                 raise KeyboardInterrupt from error
             print_error(error, self._flags(ctx))
             raise typer.Exit(NO_DERIVATIVE if isinstance(error, NotDifferentiable) else WRONG_INPUT) from error
+        except Exception as error:
+            if type(error).__name__ == "NoSuchOption":  # of click, or of the one that typer brings along
+                self._name_what_is_meant(error, self._flags(ctx))
+            raise
+
+    def _name_what_is_meant(self, error: Any, flags: Mapping[str, str]) -> None:
+        """Let the message on an unknown option lead to the one that others call so."""
+        meant = synonym(str(error.option_name).lstrip("-").replace("-", "_"))
+        if meant in flags:
+            error.possibilities = [flags[meant]]
 
     def _show_warning(
         self, ctx: Any, other: Callable[..., None], message: Warning, category: type[Warning], *place: Any

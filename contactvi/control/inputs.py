@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
-from contactvi.inputs import check_choice, count
+from contactvi.inputs import check_choice, count, short
 from contactvi.scene.joints import dofs_of, file_limit
 from contactvi.scene.scene import Scene
 from contactvi.scene.selection import Selector
@@ -71,6 +71,18 @@ class Inputs:
                 "There are no inputs", name="torques", expected="a joint, in torques or in targets", got="none",
                 remedy="For example torques='*'; a problem without inputs has inputs=None",
             )  # fmt: skip
+
+    def check(self, scene: Scene) -> None:
+        """Raise InputError where a scene has not the joints and servos for which these inputs were made."""
+        for had, has, what in (
+            (list(self._model.names)[1:], list(scene.model.names)[1:], "joints"),
+            (self._servos, scene.servo_joints, "servos"),
+        ):
+            if had != has:
+                raise InputError(
+                    "The inputs belong to another scene", name="inputs", expected=f"{what} of this one: {short(has)}",
+                    got=short(had), remedy="Make them of the scene as it is run: inputs=Inputs(scene, torques='*')",
+                )  # fmt: skip
 
     @property
     def columns(self) -> list[int]:

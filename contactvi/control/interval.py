@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactvi.control.drives import Drives
 from contactvi.errors import ApproximateDerivativeWarning, InputError, SimulationError
-from contactvi.inputs import check_choice, count, positive, real
+from contactvi.inputs import count, positive, real
 from contactvi.scene.scene import Scene
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import remedy
@@ -19,7 +19,7 @@ from contactvi.simulation.run import Run
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.targets import Targets
 from contactvi.trajectory.compiled import compile_scene
-from contactvi.trajectory.sensitivity import ON_KINK, dense_report, not_differentiable, recorded_run
+from contactvi.trajectory.sensitivity import check_on_kink, dense_report, not_differentiable, recorded_run
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Interval:
         self, scene: Scene, dt: float, drives: Drives, *, steps: int = 1, t: float = 0.0, on_kink: str = "raise",
         **options: Any,
     ) -> None:  # fmt: skip
-        check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+        check_on_kink(on_kink)
         step = positive("dt", dt, "the step in seconds, > 0, for example 1e-2")
         self._steps, self._t = count("steps", steps), real("t", t)
         chosen = {**options, "dt": step, "duration": step * self._steps, "record": "gradient", "start": "given"}

@@ -13,7 +13,7 @@ from contactvi.control.inputs import Inputs
 from contactvi.control.terms import Constraint, InputCost, ParameterCost, Terms
 from contactvi.control.variables import Variables, checked_point
 from contactvi.errors import InputError, SimulationError
-from contactvi.inputs import callback, check_choice, short
+from contactvi.inputs import callback, short
 from contactvi.scene.scene import Scene
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.simulation import simulate
@@ -22,7 +22,7 @@ from contactvi.status import StatusCode
 from contactvi.trajectory.compiled import checked_scene, compile_scene
 from contactvi.trajectory.gradient import Cost, RunGradients
 from contactvi.trajectory.hessian import CostHessian
-from contactvi.trajectory.sensitivity import ON_KINK
+from contactvi.trajectory.sensitivity import check_on_kink
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -87,12 +87,12 @@ class Problem:
         on_kink: str = "raise",
         **options: Any,
     ) -> None:
-        check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+        check_on_kink(on_kink)
         self.scene = checked_scene(scene).copy()
         chosen = {**options, "duration": duration, "dt": dt, "record": "gradient"}
         self.options = settings_of(self.scene, chosen, forced=True)
         self._given = chosen | {"dt": self.options.fixed_dt, "duration": self.options.span}
-        grid = None if inputs is None else _checked(inputs).over(self.options.steps, self.options.fixed_dt)
+        grid = None if inputs is None else _checked(inputs, self.scene).over(self.options.steps, self.options.fixed_dt)
         self.variables = Variables(self.scene, q0, v0, inputs, grid, free_q0, free_v0, parameters)
         for name, function in (("input_cost", input_cost), ("parameter_cost", parameter_cost)):
             callback(name, function)
@@ -230,13 +230,14 @@ class Problem:
         return np.hstack([rows[:, dofs], rows[:, [nv + dof for dof in dofs]]])
 
 
-def _checked(inputs: Any) -> Inputs:
-    if isinstance(inputs, Inputs):
-        return inputs
-    raise InputError(
-        "These are no inputs of a problem", name="inputs", expected="contactvi.control.Inputs, or None",
-        got=short(inputs), remedy="For example inputs=Inputs(scene, torques='*', hold=5)",
-    )  # fmt: skip
+def _checked(inputs: Any, scene: Scene) -> Inputs:
+    if not isinstance(inputs, Inputs):
+        raise InputError(
+            "These are no inputs of a problem", name="inputs", expected="contactvi.control.Inputs, or None",
+            got=short(inputs), remedy="For example inputs=Inputs(scene, torques='*', hold=5)",
+        )  # fmt: skip
+    inputs.check(scene)
+    return inputs
 
 
 def _constraints(given: Any) -> tuple[Constraint, ...]:

@@ -21,14 +21,14 @@ from contactvi.batch.scenes import SceneCache
 from contactvi.batch.shapes import OF_RUNS, Batch, batch_of
 from contactvi.control.tangents import in_numbers, in_tangents
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import array, check_choice, mapping, positive, real_numbers, shape_of
+from contactvi.inputs import array, mapping, positive, real_numbers, shape_of
 from contactvi.options import ContactSteps, ImpactMap, MhcReference, Support, Zeno
 from contactvi.simulation.settings import settings_of as run_settings_of
 from contactvi.simulation.simulation import warn_of_dense_steps
 from contactvi.threads import Workers
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.gradient import RunGradients
-from contactvi.trajectory.sensitivity import ON_KINK
+from contactvi.trajectory.sensitivity import check_on_kink
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class Rollouts:
         on_kink: str = "raise",
         **options: Unpack[RolloutOptions],
     ) -> None:
-        check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+        check_on_kink(on_kink)
         self._on_kink, self._workers = on_kink, Workers(workers)
         self._settings = settings_of(dt, options)
         given = inputs_of(scene, q0, v0, control, target, parameters)

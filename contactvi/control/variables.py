@@ -124,7 +124,8 @@ class Variables:
         """Return z with the values given by block, the others as in `base` (n,)."""
         z = base.copy()
         for name, value in mapping("values", given, "block: values").items():
-            z[self._slice("values", name)] = self._spread(name, value)
+            part = self._slice("values", name)
+            z[part] = self._spread(name, value)
         return z
 
     def bounds(self, given: Mapping[str, Any]) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from contactvi.derivatives.constrained_starts import tangent
 from contactvi.errors import ContactviError, InputError, NotDifferentiable
 from contactvi.inputs import short
 from contactvi.simulation.run import Run
+from contactvi.text import fields_shown
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.direction import EXACT, Direction, change_along
 from contactvi.trajectory.trajectory import Trajectory
@@ -44,6 +45,8 @@ class DirectionalDerivative:
     one_sided: bool
     kink: NotDifferentiable | None
     error: float
+
+    __repr__ = fields_shown
 
 
 def directional_derivative(traj: Trajectory, direction: Mapping[str, Any]) -> DirectionalDerivative:

@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.derivatives.constrained_starts import ConstrainedStarts
 from contactvi.derivatives.perturbed_runs import SOLVED, PerturbedRuns, RunEnd
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import callback, check_choice, count, real, short
+from contactvi.inputs import callback, count, real, short
 from contactvi.keywords import with_keywords
 from contactvi.options import FurtherOptions, ImpactMap
 from contactvi.simulation.simulation import Control, simulate
-from contactvi.trajectory.sensitivity import ON_KINK, PLAIN, Sensitivity, wanted
+from contactvi.trajectory.sensitivity import PLAIN, Sensitivity, check_on_kink, wanted
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def check_gradient(
             and where the run has other impacts when its steps are solved to rounding.
     """
     tolerance, most = real("tolerance", tolerance, 0.0), None if columns is None else count("columns", columns)
-    check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+    check_on_kink(on_kink)
     seed = _checked_seed(seed)
     called = callback("progress", progress)
     chosen: dict[str, Any] = {

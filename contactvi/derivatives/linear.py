@@ -25,6 +25,7 @@ from contactvi.simulation.compatibility import check_unforced
 from contactvi.simulation.run import Run
 from contactvi.simulation.settings import settings_of
 from contactvi.simulation.targets import Targets
+from contactvi.text import fields_shown
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ class StepDerivatives:
     B: Array
     dt: Array
 
+    __repr__ = fields_shown
+
 
 @dataclass(frozen=True, eq=False)
 class ForwardDynamics:
@@ -68,6 +71,8 @@ class ForwardDynamics:
     a_q: Array
     a_v: Array
     a_tau: Array
+
+    __repr__ = fields_shown
 
 
 def linearize(

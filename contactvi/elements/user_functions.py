@@ -53,7 +53,7 @@ def checked(
     """
     array = real_numbers(value)
     if array is None or array.shape != shape:
-        got = type(value).__name__ if array is None else f"shape {array.shape}"
+        got = "None" if value is None else type(value).__name__ if array is None else f"shape {array.shape}"
         raise UserFunctionError(
             f"{name} returned the wrong shape{at(t)}",
             function=name,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, SimulationError, did_you_mean
-from contactvi.inputs import array, check_choice, count, positive, short
+from contactvi.inputs import array, check_choice, count, positive, real, short
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.together import step_together
@@ -115,7 +115,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
 
     @abstractmethod
     def start(self, options: dict[str, Any]) -> tuple[Array, Array]:
-        """Draw an episode with `self.np_random`; return its start, q (nq,) and v (nv,)."""
+        """Draw an episode with `self.np_random`; return its start, q (nq,) and v (nv,), or None for the scene's."""
 
     @abstractmethod
     def observe(self, q: Array, v: Array) -> Array:
@@ -136,14 +136,16 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode; return the observation and the info. See the environment for its options."""
         super().reset(seed=seed)
-        q, v = self.start({} if options is None else options)
+        q, v = _pair(
+            "start", self.start({} if options is None else options), "the start of an episode, q (nq,) and v (nv,)"
+        )
         self.simulator.reset(q, v)
         self.count = 0
         self.action = np.zeros(len(self._reach))
         self._prepared = None
         if self.render_mode == "human":
             self._show()
-        return self._seen(q, v), self._info(self.simulator.status)
+        return self._seen(self.simulator.q, self.simulator.v), self._info(self.simulator.status)
 
     def step(self, action: Any) -> StepResult:
         """Go on by a frame; return observation, reward, terminated, truncated, info.
@@ -188,8 +190,14 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         if self.render_mode == "human":
             self._show()
         q, v = self.simulator.q, self.simulator.v
-        reward, ended = self.judge(q, v)
-        return self._seen(q, v), float(reward), ended, self.count >= self._frames or not status.ok, self._info(status)
+        reward, ended = _pair("judge", self.judge(q, v), "the reward of a frame, and whether the episode has ended")
+        return (
+            self._seen(q, v),
+            real("the reward of judge", reward),
+            bool(ended),
+            self.count >= self._frames or not status.ok,
+            self._info(status),
+        )
 
     def render(self) -> Any:
         """Return a picture (height, width, 3), uint8, with "rgb_array"; a line of text with "ansi"; else None.
@@ -249,6 +257,16 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
     def _info(self, status: Status | None) -> dict[str, Any]:
         code = "SUCCESS" if status is None else status.code.name
         return {"time": self.simulator.t, "status": code}
+
+
+def _pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
+    """Return the two things that a method of the environment has returned; InputError where it has returned others."""
+    if isinstance(value, (tuple, list)) and len(value) == 2:
+        return value[0], value[1]
+    raise InputError(
+        f"{name} returned something else", name=name, expected=f"a pair: {meaning}", got=short(value),
+        remedy=f"End {name} with " + ("return q, v" if name == "start" else "return reward, ended"),
+    )  # fmt: skip
 
 
 def _driven(scene: Scene, pushed: bool, joints: Sequence[str] | str | None) -> tuple[list[str], list[int]]:

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import InputError, SimulationError, did_you_mean
 from contactvi.gym.environment import Observation, SceneEnv, StepResult, step_all
 from contactvi.gym.hand import HandBallEnv
 from contactvi.gym.leg import LegStandEnv
@@ -69,6 +69,7 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.workers = Workers(workers).number
         self._ended: Flags = np.ones(self.num_envs, dtype=bool)  # waits for a reset
+        self._begun = False
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
 
     def reset(
@@ -91,6 +92,7 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
             self._seen[k], info = self.envs[k].reset(seed=seeds[k], options=own)
             infos = self._add_info(infos, info, k)
         self._ended[chosen] = False
+        self._begun = True
         return self._seen.copy(), infos
 
     def step(self, actions: Any) -> tuple[Observation, Floats, Flags, Flags, dict[str, Any]]:
@@ -98,12 +100,18 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
 
         Raises:
             InputError: for actions of another shape, and with DISABLED for an environment that has not been reset.
+            SimulationError: before `reset`.
         """
         values = np.asarray(actions)
         if values.shape[:1] != (self.num_envs,):
             raise InputError(
                 "Actions", name="actions", expected=f"an array of shape {self.action_space.shape}",
                 got=short(actions), remedy="Take envs.action_space.sample() as an example",
+            )  # fmt: skip
+        if not self._begun:
+            raise SimulationError(
+                "No episode has begun", expected="environments that have been reset", got="none",
+                remedy="Call envs.reset(seed=1) first",
             )  # fmt: skip
         if self._mode == AutoresetMode.DISABLED and self._ended.any():
             raise InputError(

@@ -14,7 +14,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError, SceneError
+from contactvi.errors import ContactviError, InputError, SceneError
 from contactvi.importing import cubic_splines
 from contactvi.importing.given_surfaces import GivenSurface
 from contactvi.importing.hulls import hull_of_points
@@ -179,6 +179,8 @@ def _samples(heights: Any, height: float | None) -> Array:
         if path.suffix == ".npy":
             return np.asarray((1.0 if height is None else height) * np.load(path, allow_pickle=False), dtype=float)
         return _from_picture(path, height)
+    except ContactviError:
+        raise
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from None
 

@@ -177,9 +177,11 @@ def reason_of(error: BaseException) -> str:
 
 
 def unreadable(path: Path, error: Exception) -> SceneError:
-    """Return the error for a file that is there and cannot be read."""
-    expected, remedy = "a file that can be read", "Look at its permissions, or choose another file"
-    return SceneError(f"Cannot read {path}", path=path, expected=expected, got=str(error), remedy=remedy)
+    """Return the error for a file that is not there, or cannot be read."""
+    expected, got, remedy = "a file that can be read", str(error), "Look at its permissions, or choose another file"
+    if isinstance(error, FileNotFoundError):
+        got, remedy = f"there is none in {path.absolute().parent}", "Correct the path"
+    return SceneError(f"Cannot read {path}", path=path, expected=expected, got=got, remedy=remedy)
 
 
 def _package_name(folder: Path) -> str | None:

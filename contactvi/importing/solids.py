@@ -300,7 +300,8 @@ def sampled_solid(function: Callable[[Array], Any], extent: Array, spacing: floa
         )  # fmt: skip
         raise InputError(
             "A solid within an extent", name="extent", expected="negative values inside, positive ones at its border",
-            got=got, remedy="Give an extent around all of the solid, and a spacing that meets its thinnest part",
+            got=got, remedy="Change the sign of the function, which is negative all around" if border.all()
+            else "Give an extent around all of the solid, and a spacing that meets its thinnest part",
         )  # fmt: skip
     return SampledSolid(hollow, np.array(extent, dtype=float), samples)
 

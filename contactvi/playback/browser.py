@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import http.server
+import math
 import os
 import queue
 import secrets
@@ -13,6 +14,8 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 
 from contactvi.errors import ContactviError
@@ -31,8 +34,37 @@ _DRAWING = (
     if sys.platform.startswith("linux")
     else ("--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 )
+_TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100  # of a second, in /proc
 PATIENCE = 120.0  # [s] for one picture; the first one comes after the browser has started
 _POST_LIMIT = 1 << 30  # [bytes]
+
+
+@dataclass
+class Cost:
+    """What pictures have cost.
+
+    Attributes:
+        asked, drawn: how many were asked for, and how many of them were drawn: the others are like those before them.
+        seconds: of processors, which the browser has used with all of its processes; NaN without /proc, as of Linux.
+    """
+
+    asked: int = 0
+    drawn: int = 0
+    seconds: float = 0.0
+
+
+_COST: ContextVar[Cost | None] = ContextVar("_COST", default=None)
+
+
+@contextlib.contextmanager
+def measured() -> Iterator[Cost]:
+    """Count what the pictures cost that are drawn in the `with`, by the thread that entered it."""
+    cost = Cost()
+    token = _COST.set(cost)
+    try:
+        yield cost
+    finally:
+        _COST.reset(token)
 
 
 def find_browser() -> str:
@@ -56,7 +88,7 @@ def pictures(page: str, count: int) -> Iterator[bytes]:
     Raises:
         ContactviError: no browser, it ended, the page failed, or nothing came for PATIENCE seconds.
     """
-    program = find_browser()
+    program, cost = find_browser(), _COST.get()
     arrived: queue.Queue[tuple[str, bytes]] = queue.Queue(maxsize=4)
     token = secrets.token_urlsafe(16)
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(token, page.encode("utf-8"), arrived))
@@ -74,8 +106,13 @@ def pictures(page: str, count: int) -> Iterator[bytes]:
             )  # fmt: skip
         try:
             for _ in range(count):
-                yield _next(arrived, process, log)
+                data = _next(arrived, process, log)
+                if cost is not None:
+                    cost.asked, cost.drawn = cost.asked + 1, cost.drawn + bool(data)
+                yield data
         finally:
+            if cost is not None:
+                cost.seconds += _session_seconds(process.pid)
             _stop(process)
             server.shutdown()
             server.server_close()
@@ -103,6 +140,21 @@ def _next(arrived: queue.Queue[tuple[str, bytes]], process: subprocess.Popen[byt
             "The page could not be drawn", expected="a picture", got=data.decode("utf-8", errors="replace"),
             remedy="Write the page with to_html and look at it in a browser with WebGL",
         )  # fmt: skip
+
+
+def _session_seconds(session: int) -> float:
+    """Return what the processes of a session have used [s], with those among them that have ended."""
+    ticks = 0
+    if not Path("/proc/self/stat").exists():
+        return math.nan
+    for process in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            numbers = process.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has ended
+        if int(numbers[3]) == session:
+            ticks += sum(int(number) for number in numbers[11:15])
+    return ticks / _TICKS
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:

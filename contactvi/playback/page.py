@@ -34,7 +34,14 @@ from contactvi.playback.framing import View, fit
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.shapes import shape_data
 from contactvi.playback.touches import Touches
-from contactvi.playback.visuals import NO_SHAPE_COLOR, SPRING_COLOR, STRING_COLOR, Visual
+from contactvi.playback.visuals import (
+    MAX_TRIANGLES,
+    NO_SHAPE_COLOR,
+    SPRING_COLOR,
+    STRING_COLOR,
+    Visual,
+    thin_out,
+)
 from contactvi.records.codes import GuardKind
 from contactvi.records.pair_colors import pair_colors
 from contactvi.scene.camera import Camera, camera_of, check_followed
@@ -117,11 +124,13 @@ def page_data(
     camera: Any = None,
     force_scale: float | None = None,
     moment: float | None = None,
+    triangles: int = MAX_TRIANGLES,
 ) -> dict[str, Any]:
     """Return what the page of a run shows; arguments and errors as those of `write_html`.
 
     Args:
         moment: time of the run [s] that is shown alone, to which the picture fits; None: all of it.
+        triangles: how many the meshes have in all, about, at most.
     """
     if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 1e6:
         raise InputError(
@@ -141,7 +150,9 @@ def page_data(
     chosen = chosen_camera(run, camera)
     title = title or title_of(run.scene)
     moment = None if moment is None else moment - float(run.t[0])
-    return _data(run, frames_of(run, float(fps)), forces, chosen, moment, scale) | {"title": title, "play": play}
+    shapes = thin_out(run.visuals, triangles)
+    data = _data(run, shapes, frames_of(run, float(fps)), forces, chosen, moment, scale)
+    return data | {"title": title, "play": play}
 
 
 def chosen_camera(run: Run, camera: Any) -> Camera:
@@ -206,7 +217,13 @@ def bodies_of(run: Drawn) -> dict[str, int]:
 
 
 def _data(
-    run: Run, frames: Frames, forces: bool, camera: Camera, moment: float | None, force_scale: float | None
+    run: Run,
+    visuals: list[Visual],
+    frames: Frames,
+    forces: bool,
+    camera: Camera,
+    moment: float | None,
+    force_scale: float | None,
 ) -> dict[str, Any]:
     """Return all that the page shows; moment [s] from the start as of `fit`, force_scale [N/m]."""
     touches = Touches.of(run.contacts, float(run.t[0]))
@@ -222,7 +239,7 @@ def _data(
         "duration": float(frames.times[-1]),
         "times": packed(frames.times, "f8"),
         "bodies": [_body(run, joint, poses) for joint, poses in frames.poses.items()],
-        "shapes": [shape_data(visual, k, joints) for k, visual in enumerate(run.visuals)],
+        "shapes": [shape_data(visual, k, joints) for k, visual in enumerate(visuals)],
         "contacts": None if contacts is None else _contacts(contacts, run, colors),
         "force_scale": force_scale,
         "events": events,

@@ -20,6 +20,7 @@ from contactvi.inputs import flag, positive, real, short
 from contactvi.playback.browser import find_browser, pictures
 from contactvi.playback.page import Run, chosen_camera, make_html
 from contactvi.playback.picture_size import picture_size
+from contactvi.playback.visuals import MAX_TRIANGLES
 from contactvi.records.pair_colors import PAIR_COLORS
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ _FILMS = (".avi", ".mkv", ".mov", ".webm", ".apng", ".m4v", "")  # what may be m
 MAX_FRAMES = 5000
 _COLORS = 255  # of a GIF
 _SAMPLES = 6  # pictures whose colours make the palette of a GIF
+_PIXELS = 25  # for each triangle of a film, at least: smaller ones are not seen and take most of the time
 _SIGNS = ("#e0431f", "#0072b2", "#e69f00", "#009e73", *PAIR_COLORS)  # small, and not to be lost
 
 
@@ -143,11 +145,13 @@ class _Frames:
             "width": self.width, "height": self.height, "speed": self.speed, "ratio": 1 if self.moment is None else 2,
             **self.shown,
         }  # fmt: skip
-        web = importlib.resources.files("contactvi.playback").joinpath("web", "render.js").read_text(encoding="utf-8")
-        script = f"const job = {json.dumps(job, allow_nan=False)};\n{web}"
+        folder = importlib.resources.files("contactvi.playback").joinpath("web")
+        web = [folder.joinpath(name).read_text(encoding="utf-8") for name in ("smooth.js", "render.js")]
+        script = "\n".join([f"const job = {json.dumps(job, allow_nan=False)};", *web])
         page = make_html(
             self.run, fps=200.0, play=False, forces=self.shown["forces"], camera=self.camera, script=script,
             moment=self.moment, force_scale=self.force_scale,
+            triangles=MAX_TRIANGLES if self.moment is not None else max(12_000, self.width * self.height // _PIXELS),
         )  # fmt: skip
         size = self.width, self.height
         picture = None

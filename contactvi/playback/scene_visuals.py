@@ -7,7 +7,9 @@ are lines, and so are models without any shape.
 
 from __future__ import annotations
 
+import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from contactvi.elements.forces import PathSpring
 from contactvi.importing.pictures import Picture
@@ -30,7 +32,17 @@ def from_scene(scene: Scene) -> list[Visual]:
     planes = {solid.name: Picture(solid) for solid in solids if _is_plane(solid)}
     shown = [picture for picture in scene.pictures() if picture.geometry.name not in planes]
     found = [visual for picture in (*shown, *planes.values()) if (visual := from_picture(picture)) is not None]
-    return thin_out(found + skeletons(scene.model, found) + _lines(scene), MAX_TRIANGLES)
+    return thin_out(found + skeletons(scene.model, found, _held(scene)) + _lines(scene), MAX_TRIANGLES)
+
+
+def _held(scene: Scene) -> dict[int, list[NDArray[np.float64]]]:
+    """Return the points at which loops are closed, by the joints that carry them, in their frames [m]."""
+    points: dict[int, list[NDArray[np.float64]]] = {}
+    for row in scene.built().elements.constraints:
+        if row.kind in ("point", "weld", "screw"):
+            for joint, _, point in (row.a, row.b):
+                points.setdefault(joint, []).append(point)
+    return points
 
 
 def _lines(scene: Scene) -> list[Visual]:

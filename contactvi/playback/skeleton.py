@@ -1,13 +1,13 @@
 """What is drawn of models without any shape: lines from joint to joint, and a ball at each joint.
 
 A tree of joints that carries one shape is drawn by its shapes alone. Lines go from the frame of the parent to the frame
-of the joint, at the end of a chain to the links that are fixed there, else to the centre of mass. A free body has a
-ball at its centre of mass.
+of the joint, at the end of a chain to the links that are fixed there and to the points that close loops, else to the
+centre of mass. A free body has a ball at its centre of mass.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,19 +31,25 @@ class _Line(NamedTuple):
     points: tuple[Array, Array]
 
 
-def skeletons(model: pin.Model, shapes: Sequence[Visual]) -> list[Visual]:
-    """Return what is drawn of the trees of a model on which there are none of the shapes."""
+def skeletons(
+    model: pin.Model, shapes: Sequence[Visual], held: Mapping[int, Sequence[Array]] | None = None
+) -> list[Visual]:
+    """Return what is drawn of the trees of a model on which there are none of the shapes.
+
+    Args:
+        held: points of joints at which constraints hold them, each in the frame of its joint [m].
+    """
     trees = trees_of(model)
     shaped = {int(trees[visual.joint]) for visual in shapes}
     bare = [joint for joint in range(1, model.njoints) if int(trees[joint]) not in shaped]
-    lines = [found for joint in bare for found in _lines(model, joint)]
+    lines = [found for joint in bare for found in _lines(model, joint, (held or {}).get(joint, ()))]
     lengths = [length for found in lines if (length := _length(model, found)) > _SHORT]
     radius = _BALL * float(np.median(lengths)) if lengths else _LONE
     drawn = [line(x.name, x.joints, x.points, NO_SHAPE_COLOR) for x in lines if _length(model, x) > _SHORT]
     return drawn + [_ball(model, joint, radius) for joint in bare]
 
 
-def _lines(model: pin.Model, joint: int) -> Iterator[_Line]:
+def _lines(model: pin.Model, joint: int, held: Sequence[Array]) -> Iterator[_Line]:
     """Return the line to a joint, and from one without others behind it those to what it carries."""
     name, parent, origin = str(model.names[joint]), int(model.parents[joint]), np.zeros(3)
     if parent:
@@ -54,6 +60,7 @@ def _lines(model: pin.Model, joint: int) -> Iterator[_Line]:
         return
     carried = [frame for frame in model.frames if frame.parentJoint == joint and frame.type == pin.FrameType.BODY]
     ends = [frame.placement.translation for frame in carried if np.linalg.norm(frame.placement.translation) > _SHORT]
+    ends += [point for point in held if np.linalg.norm(point) > _SHORT]
     if not ends and not _is_free(model, joint):
         ends = [model.inertias[joint].lever]
     for end in ends:

@@ -37,6 +37,10 @@ class CompliantContacts:
     def __len__(self) -> int:
         return len(self.node)
 
+    def __repr__(self) -> str:
+        deepest = f", at most {self.depth.max():.4g} m deep" if len(self) else ""
+        return f"<CompliantContacts: {len(self)} rows of {len(set(self.pair.tolist()))} pairs{deepest}>"
+
     @property
     def normal_force(self) -> Array:
         """The force along the normal, >= 0 [N], shape (m,)."""

@@ -88,6 +88,16 @@ class StepRows(Rows):
         return self.t + self.h
 
 
+def place_of(index: int, count: int, word: str) -> int:
+    """Return the place of an item among `count`, of which -1 is the last; IndexError, which calls it `word`."""
+    place = index + count if index < 0 else index
+    if not 0 <= place < count:
+        # Not one of our errors: iteration and reversed need an IndexError of a sequence.
+        known = f"expected an index from {-count} to {count - 1}" if count else "there is none"
+        raise IndexError(f"{word} {index} of {count}: {known}. Look at len(...) first.")
+    return place
+
+
 class Items(Sequence[Item]):
     """A sequence whose items are made when they are asked for."""
 
@@ -103,12 +113,7 @@ class Items(Sequence[Item]):
     def __getitem__(self, item: int | slice) -> Item | list[Item]:
         if isinstance(item, slice):
             return [self._item(i) for i in range(*item.indices(len(self)))]
-        i = item + len(self) if item < 0 else item
-        if not 0 <= i < len(self):
-            # Not one of our errors: iteration and reversed need an IndexError of a sequence.
-            known = f"expected an index from {-len(self)} to {len(self) - 1}" if len(self) else "there is none"
-            raise IndexError(f"{self._word} {item} of {len(self)}: {known}. Look at len(...) first.")
-        return self._item(i)
+        return self._item(place_of(item, len(self), self._word))
 
     def __iter__(self) -> Iterator[Item]:
         return (self._item(i) for i in range(len(self)))

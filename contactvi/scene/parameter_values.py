@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError, did_you_mean
 from contactvi.importing.joint_kinds import joint_kind
 from contactvi.inputs import LARGEST, array, mapping, real, real_numbers, short
+from contactvi.keywords import meant
 from contactvi.scene.build import Built
 from contactvi.scene.contact_rules import ContactRules
 from contactvi.scene.joints import PARTS_OF_FREEDOM, SPRUNG, JointSettings, JointTable, Servo
@@ -63,7 +64,7 @@ class ParameterValues:
         kind, colon, of = name.partition(":") if isinstance(name, str) else ("", "", "")
         if name == "gravity" or (kind in OF_JOINTS and of) or (kind in OF_CONTACTS and bool(of) == bool(colon)):
             return str(name)
-        remedy = did_you_mean(kind, _KNOWN) if kind else "Give a name such as 'mass:ball'"
+        remedy = meant(kind, _KNOWN) if kind else "Give a name such as 'mass:ball'"
         raise InputError("Nothing of the scene has this name", name="name", expected=f"one of {', '.join(_KNOWN)}",
                          got=short(name), remedy=remedy)  # fmt: skip
 

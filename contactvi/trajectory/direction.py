@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import InputError
 from contactvi.inputs import array, short
+from contactvi.keywords import meant
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.gradient import number_of_steps
@@ -52,7 +53,7 @@ class Direction:
             known = (*EXACT, *parameters.CONTACT_NAMES, *parameters.NAMES)
             raise InputError(
                 "Nothing of the run has this name", name="w", expected=f"some of {', '.join(known)}", got=name,
-                remedy=did_you_mean(kind, known),
+                remedy=meant(kind, known),
             )  # fmt: skip
         return shapes[name]
 

@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.errors import ApproximateDerivativeWarning, InputError, did_you_mean
-from contactvi.inputs import array, check_choice, check_signature, real, real_numbers
+from contactvi.errors import ApproximateDerivativeWarning, InputError
+from contactvi.inputs import array, check_signature, real, real_numbers
+from contactvi.keywords import meant
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.polynomials import Segments
 from contactvi.trajectory.sensitivity import (
-    ON_KINK,
     DenseStepSensitivity,
     Laws,
     Recorded,
+    check_on_kink,
     check_parameter,
     dense_report,
     not_differentiable,
@@ -57,7 +58,7 @@ class RunGradients:
     """
 
     def __init__(self, traj: Recorded, compiled: CompiledScene, wrt: Sequence[str] | str, on_kink: str) -> None:
-        check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+        check_on_kink(on_kink)
         self._traj, self._taken, names = traj, on_kink == "taken", wanted(wrt)
         self._run = recorded_run(traj, compiled)
         laws = Laws(traj, self._run, compiled)
@@ -176,7 +177,7 @@ class _Pick:
             known = (*OF_THE_RUN, *parameters.CONTACT_NAMES, *parameters.NAMES)
             raise InputError(
                 "Nothing of the run has this name", name="wrt", expected=f"one of {', '.join(known)}", got=name,
-                remedy=did_you_mean(kind, known),
+                remedy=meant(kind, known),
             )  # fmt: skip
 
     def of(self, found: dict[str, Any]) -> Array:

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, DerivativeError, InputError, NotDifferentiable
 from contactvi.inputs import array, check_choice, check_signature, short
+from contactvi.text import fields_shown
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.direction import EXACT, Direction, change_along
 from contactvi.trajectory.gradient import Cost, cost_gradients, gradient
 from contactvi.trajectory.sensitivity import (
-    ON_KINK,
     Recorded,
+    check_on_kink,
     not_differentiable,
     recorded_run,
     wanted,
@@ -48,6 +49,8 @@ class HessianVector:
     value: float | None
     approximate: ContactviError | str | None
 
+    __repr__ = fields_shown
+
 
 def hessian_vector(
     traj: Recorded,
@@ -62,7 +65,7 @@ def hessian_vector(
 ) -> HessianVector:
     """Return H w; arguments as those of contactvi.hessian_vector, and the scene of the run."""
     check_choice("method", method, METHODS, "Unknown way to second derivatives")
-    check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+    check_on_kink(on_kink)
     direction = Direction(traj, compiled, w)
     names = direction.names if wrt is None else wanted(wrt)
     for name in names:

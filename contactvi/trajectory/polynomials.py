@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.scene.engine import engine_states, static_trees
+from contactvi.text import fields_shown
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -45,6 +46,8 @@ class State:
     q: Array
     v: Array
     p: Array
+
+    __repr__ = fields_shown
 
 
 class Segments:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, NotDifferentiable, did_you_mean
 from contactvi.inputs import array, check_choice, real_numbers, short
+from contactvi.keywords import meant
 from contactvi.options import Options
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
@@ -34,6 +35,13 @@ Array = NDArray[np.float64]
 ON_KINK = ("raise", "taken")
 PLAIN = ("q0", "v0", "control", "restitution", "friction")
 NEAR_KINK = 1e-3  # of the impulse or the speeds: an event so near to a kink is marked in the report
+
+
+def check_on_kink(value: Any) -> None:
+    """Raise InputError where this is no answer to a kink."""
+    check_choice("on_kink", value, ON_KINK, "Unknown answer to a kink", {
+        "forward": "The one-sided derivative along a direction is cvi.directional_derivative(run, {'control': du})",
+    })  # fmt: skip
 
 
 class Recorded(Protocol):
@@ -183,7 +191,7 @@ class Sensitivity:
     def __init__(
         self, traj: Recorded, compiled: CompiledScene, wrt: Sequence[str] | str, *, on_kink: str = "raise"
     ) -> None:
-        check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+        check_on_kink(on_kink)
         self._traj, self._taken = traj, on_kink == "taken"
         self._run = recorded_run(traj, compiled)
         self.names = wanted(wrt)
@@ -386,7 +394,7 @@ def _part(
         known = ("q0", "v0", "control", *parameters.CONTACT_NAMES, *parameters.NAMES)
         raise InputError(
             "Nothing of the run has this name", name="wrt", expected=f"one of {', '.join(known)}", got=name,
-            remedy=did_you_mean(kind, known),
+            remedy=meant(kind, known),
         )  # fmt: skip
     if kind == "control" and pair:
         return entry, _joint_columns(compiled.built.model, pair)

@@ -89,7 +89,7 @@ def verify(cases: Sequence[Case] | None = None, progress: Progress | None = None
 
 
 def measure(case: Case, limit: float = LIMIT) -> Result:
-    """Measure one case; it fails where its runs take longer than `limit` [s]."""
+    """Measure one case; it fails where its runs take longer than `limit` [s] of a processor."""
     if case.run is None:
         return Result(case, (), 0.0)
     started, runs = time.perf_counter(), Runs(limit)

@@ -116,7 +116,7 @@ def test_batches_that_do_not_belong_together_are_not_joined(tmp_path):
         "given": cvi.simulate_batch(scene, starts(q, 2), path=tmp_path / "given", **SETTINGS),
     }
     for name, other in others.items():
-        with pytest.raises(cvi.InputError, match=f"do not belong together.*another {name}"):
+        with pytest.raises(cvi.InputError, match=f"do not belong together.*differ in .*{name}"):
             cvi.join_batches([first, other], tmp_path / "all")
     assert not (tmp_path / "all").exists()
     for nothing in ([], tmp_path / "first"):

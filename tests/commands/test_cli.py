@@ -348,3 +348,11 @@ def test_progress_text():
 def test_progress_argument_of_simulate(tmp_path):
     scene = cvi.load_scene(ball_file(tmp_path))
     assert cvi.simulate(scene, progress=True).status.ok
+
+
+@pytest.mark.parametrize(("given", "meant"), [("--timestep", "--dt"), ("--t-end", "--duration"), ("--T", "--duration")])
+def test_options_that_others_call_otherwise_lead_to_ours(command, tmp_path, given, meant):
+    result = command("run", ball_file(tmp_path), given, "1")
+    assert result.exit_code == WRONG_INPUT
+    assert f"No such option: {given}" in result.stderr
+    assert meant in result.stderr

@@ -326,3 +326,32 @@ def test_what_cannot_be_an_environment_is_refused_when_it_is_made(options, messa
 def test_an_observation_of_another_shape_is_refused_by_name():
     with pytest.raises(cvi.InputError, match=r"observe has the wrong shape: .*shape \(2,\), got shape \(3,\)"):
         Pendulum(servo=True, numbers=3).reset(seed=1)
+
+
+@pytest.mark.parametrize(
+    ("method", "returned", "says"),
+    [
+        ("start", np.zeros(2), "return q, v"),
+        ("judge", None, "return reward, ended"),
+        ("judge", (1.0, False, {}), "return reward, ended"),
+        ("judge", ("much", False), "the reward of judge is not usable"),
+    ],
+)
+def test_what_a_method_of_an_environment_returns_is_checked(monkeypatch, method, returned, says):
+    env = Pendulum(servo=True)
+    monkeypatch.setattr(env, method, lambda *arguments: returned)
+    if method == "judge":
+        env.reset(seed=1)
+    call = (lambda: env.reset(seed=1)) if method == "start" else (lambda: env.step(np.zeros(1)))
+    with pytest.raises(cvi.InputError, match=says):
+        call()
+
+
+def test_a_start_of_nothing_is_that_of_the_scene(monkeypatch):
+    env = Pendulum(servo=True)
+    seen = []
+    monkeypatch.setattr(env, "start", lambda options: (None, None))
+    monkeypatch.setattr(env, "observe", lambda q, v: seen.append((q, v)) or np.zeros(2))
+    env.reset(seed=1)
+    np.testing.assert_array_equal(seen[0][0], env.simulator.scene.neutral())
+    assert not seen[0][1].any()

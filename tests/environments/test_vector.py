@@ -152,3 +152,11 @@ def test_an_error_of_an_environment_comes_through(workers):
 def test_bad_arguments(call, says):
     with pytest.raises(cvi.InputError, match=says):
         call()
+
+
+def test_a_step_before_the_first_reset_is_refused():
+    envs = contactvi.gym.make_vec("contactvi/LegStand-v0", 2)
+    with pytest.raises(cvi.SimulationError, match="Call envs.reset"):
+        envs.step(np.zeros(envs.action_space.shape))
+    envs.reset(seed=1)
+    envs.step(np.zeros(envs.action_space.shape))

@@ -182,8 +182,11 @@ def test_frames_of_a_film_in_which_nothing_moves_are_drawn_once(tmp_path, monkey
     monkeypatch.setattr(render_module, "pictures", watched)
     program(tmp_path, "ffmpeg", 'for last; do :; done; exec cat > "$last"')
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    film = run.render(tmp_path / "a.mp4", size=(96, 72), fps=20.0, camera="side", forces=False)
+    with headless.measured() as cost:
+        film = run.render(tmp_path / "a.mp4", size=(96, 72), fps=20.0, camera="side", forces=False)
     sent = np.array(sizes) > 0
+    assert (cost.asked, cost.drawn) == (21, sent.sum())
+    assert not cost.seconds <= 0.0
     assert len(sent) == 21
     times = np.arange(21) / 20.0
     assert np.all(sent[times < landed])
@@ -195,6 +198,24 @@ def test_frames_of_a_film_in_which_nothing_moves_are_drawn_once(tmp_path, monkey
     assert np.all(np.diff(places)[: np.count_nonzero(times < landed) - 1] > 0)
     assert np.array_equal(frames[-1], frames[-8])
     assert not np.array_equal(frames[-1], frames[0])
+
+
+@pytest.mark.browser
+def test_edges_of_films_are_smooth(tmp_path, monkeypatch):
+    """A square that is turned a little: pixels at its edges are between it and what is behind it."""
+    scene = cvi.Scene(gravity=(0, 0, 0))
+    scene.add_box("box", (0.2, 0.2, 0.2), color=(0.1, 0.1, 0.1, 1.0), placement=((0, 0, 0), (0.3, 0, 0)))
+    program(tmp_path, "ffmpeg", 'for last; do :; done; exec cat > "$last"')
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    camera = {"eye": [2.0, 0, 0], "target": [0, 0, 0]}
+    run = cvi.simulate(scene, duration=0.1, dt=1e-2)
+    film = run.render(tmp_path / "a.mp4", size=(160, 120), fps=20.0, camera=camera, forces=False)
+    frame = np.frombuffer(film.read_bytes(), np.uint8).reshape(-1, 120, 160, 3)[0].mean(axis=2)
+    values, counts = np.unique(frame, return_counts=True)
+    box, behind = sorted(values[np.argsort(counts)[-2:]])
+    between = np.count_nonzero((frame > box + 10) & (frame < behind - 10))
+    side = np.sqrt(np.count_nonzero(frame < box + 10))
+    assert 4 * side / 2 < between < 4 * side * 3
 
 
 @pytest.mark.browser

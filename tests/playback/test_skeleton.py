@@ -14,6 +14,7 @@ from contactvi.playback.framing import fit
 from contactvi.playback.lines import path_of
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.page import page_data
+from contactvi.playback.scene_visuals import from_scene
 from contactvi.playback.sketch import Sketch
 
 LINK = """<link name="{name}"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/>
@@ -27,14 +28,18 @@ ROBOT = """<robot name="bare"><link name="base"/>{upper}{lower}<link name="tool"
 BALL = '<visual><geometry><sphere radius="0.05"/></geometry></visual>'
 
 
-def run_of(folder: Path, shape: str = "") -> cvi.Trajectory:
+def scene_of(folder: Path, shape: str = "") -> cvi.Scene:
     file = folder / "bare.urdf"
     file.write_text(
         ROBOT.format(upper=LINK.format(name="upper", shape=shape), lower=LINK.format(name="lower", shape=""))
     )
     scene = cvi.Scene()
     scene.add_urdf(file)
-    return cvi.simulate(scene, v0=[1.0, 0.3], duration=0.5, dt=1e-2)
+    return scene
+
+
+def run_of(folder: Path, shape: str = "") -> cvi.Trajectory:
+    return cvi.simulate(scene_of(folder, shape), v0=[1.0, 0.3], duration=0.5, dt=1e-2)
 
 
 def test_lines_go_from_joint_to_joint_and_to_the_tool(tmp_path):
@@ -90,3 +95,12 @@ def test_a_free_body_has_a_ball_at_its_centre_of_mass():
     (ball,) = cvi.simulate(cvi.Scene.from_pinocchio(model), duration=0.1, dt=1e-2).visuals
     assert ball.shape == "sphere"
     assert ball.placement[:3, 3] == pytest.approx([0.0, 0.1, 0.0])
+
+
+def test_lines_go_to_the_points_where_loops_are_closed(tmp_path):
+    scene = scene_of(tmp_path)
+    scene.add_point("world", "lower", (0.1, 0.0, 0.2), (0.0, 0.0, -0.4))
+    drawn = from_scene(scene)
+    to_tool, to_loop = (visual for visual in drawn if visual.name == "of b")
+    assert to_tool.vertices[1] == pytest.approx([0.0, 0.3, -0.4])
+    assert to_loop.vertices[1] == pytest.approx([0.0, 0.0, -0.4])

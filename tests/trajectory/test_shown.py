@@ -155,3 +155,14 @@ def test_print_shows_a_short_table():
     assert str(run.contact_changes) == "Contact changes: 0"
     assert str(run.contacts).startswith(f"Contacts: {len(run.contacts)} rows of 1 pairs")
     assert repr(run.events) == f"<EventLog: {len(run.events)} events>"
+
+
+def test_derivatives_show_the_shapes_of_their_arrays():
+    scene = cvi.load_scene(MODELS / "double_pendulum_wall.toml")
+    traj = cvi.simulate(scene, duration=0.1, dt=0.01, record="gradient", dense=True)
+    found = repr(cvi.directional_derivative(traj, {"v0": [1.0, 0.0]}))
+    assert found == "<DirectionalDerivative: q 11x2 numbers, v 11x2 numbers, one_sided False, kink None, error 0>"
+    assert "A 4x4 numbers" in repr(cvi.step_derivatives(scene, [0.1, 0.2]))
+    assert repr(traj.at(0.05)).startswith("<State: t 0.05, q [")
+    second = cvi.hessian_vector(traj, lambda t, q, v: (0.0, q[-1], v[-1]), {"v0": [1.0, 0.0]}, hessp="linear")
+    assert "product {'v0': [" in repr(second)

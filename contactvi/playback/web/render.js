@@ -23,6 +23,7 @@ async function draw() {
   signs.apart = () => job.times.length === 1;
   player.speed = job.speed;
   signs.shown.impacts = job.forces;
+  player.tick = () => {};  // or what stands still would be drawn again and again
   stage.resize();
   player.seek(job.times[0]);
   orbit.margins = () => [0, hasScales(film) ? Math.max(0, SCALE_HEIGHT - 0.025 * job.height) : 0];
@@ -37,7 +38,8 @@ async function draw() {
     return;
   }
   // A frame is drawn while the one before is read, and that one while the one before it is on its way.
-  const copies = [new Copy(), new Copy()];
+  const copies = [new Copy(), new Copy()], {renderer} = stage;
+  const smoother = isSoftware(renderer.getContext()) ? new Smoother(renderer, job.width, job.height) : null;
   let read = null, sent = Promise.resolve();
   const send = async copy => {
     const pixels = copy.drawn ? await copy.pixels() : "";
@@ -49,14 +51,19 @@ async function draw() {
     player.seek(time);
     copy.drawn = differs(appearance());
     if (copy.drawn) {
-      stage.render();
-      copy.begin();
+      copy.begin(smoother ? smoother.draw(() => stage.render()) : drawnOnCanvas());
     }
     if (read) { await send(read); }
     read = copy;
   }
   await send(read);
   await sent;
+}
+
+// Draw on the canvas of the page: that is the framebuffer which WebGL calls null.
+function drawnOnCanvas() {
+  stage.render();
+  return null;
 }
 
 // What the stage has drawn, on its way into the memory of the page, and what is written on it.
@@ -70,11 +77,13 @@ class Copy {
     gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
   }
 
-  begin() {
+  begin(framebuffer) {
     const {gl, writing} = this;
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, framebuffer);
     gl.bindBuffer(gl.PIXEL_PACK_BUFFER, this.buffer);
     gl.readPixels(0, 0, job.width, job.height, gl.RGBA, gl.UNSIGNED_BYTE, 0);
     gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, null);
     this.done = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
     const pen = penOf(writing);
