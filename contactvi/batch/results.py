@@ -13,7 +13,7 @@ from contactvi.batch.blocks import Block
 from contactvi.errors import ContactviError, InputError
 from contactvi.html import html_fields, html_table
 from contactvi.inputs import short
-from contactvi.records.rows import Items, place_of
+from contactvi.records.rows import Items, Places
 from contactvi.records.table import Column, Table, Words
 from contactvi.simulation.messages import REACHED
 from contactvi.status import Status, StatusCode
@@ -192,7 +192,7 @@ class BatchResult(Batch):
         """
         if not isinstance(k, (int, np.integer)):
             return BatchResult(self.keep, self._block.rows([int(i) for i in np.arange(len(self))[k]]))
-        row = place_of(int(k), len(self), "Run")
+        row = Places(len(self), "Run")[int(k)]
         if self._block.trajectories is None:
             raise not_kept(self.keep, k)
         traj = self._block.trajectories[row]()

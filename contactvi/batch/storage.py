@@ -36,7 +36,7 @@ from contactvi.errors import ContactviError, InputError, SceneError
 from contactvi.files import UNREADABLE, as_a_path, check_free, checked_path, told, write_atomic
 from contactvi.inputs import short
 from contactvi.options import Options
-from contactvi.records.rows import place_of
+from contactvi.records.rows import Places
 from contactvi.scene.fingerprint import fingerprint
 from contactvi.version import version
 
@@ -229,7 +229,7 @@ class StoredBatch(Batch):
                 such run. SceneError: the file is damaged.
         """
         if isinstance(k, (int, np.integer)):
-            place_of(int(k), self._runs, "Run")
+            Places(self._runs, "Run")[int(k)]
             raise not_kept(self.keep, k)
         none = isinstance(k, str) or (not isinstance(k, slice) and len(k) == 0)
         chosen = np.zeros(0, dtype=int) if none else np.arange(self._runs)[k]

@@ -88,14 +88,19 @@ class StepRows(Rows):
         return self.t + self.h
 
 
-def place_of(index: int, count: int, word: str) -> int:
-    """Return the place of an item among `count`, of which -1 is the last; IndexError, which calls it `word`."""
-    place = index + count if index < 0 else index
-    if not 0 <= place < count:
-        # Not one of our errors: iteration and reversed need an IndexError of a sequence.
-        known = f"expected an index from {-count} to {count - 1}" if count else "there is none"
-        raise IndexError(f"{word} {index} of {count}: {known}. Look at len(...) first.")
-    return place
+class Places:
+    """The places of a sequence of `count` items, of which -1 is the last; errors call an item `word`."""
+
+    def __init__(self, count: int, word: str) -> None:
+        self._count, self._word = count, word
+
+    def __getitem__(self, index: int) -> int:
+        place = index + self._count if index < 0 else index
+        if not 0 <= place < self._count:
+            # Not one of our errors: iteration and reversed need an IndexError of a sequence.
+            known = f"expected an index from {-self._count} to {self._count - 1}" if self._count else "there is none"
+            raise IndexError(f"{self._word} {index} of {self._count}: {known}. Look at len(...) first.")
+        return place
 
 
 class Items(Sequence[Item]):
@@ -113,7 +118,7 @@ class Items(Sequence[Item]):
     def __getitem__(self, item: int | slice) -> Item | list[Item]:
         if isinstance(item, slice):
             return [self._item(i) for i in range(*item.indices(len(self)))]
-        return self._item(place_of(item, len(self), self._word))
+        return self._item(Places(len(self), self._word)[item])
 
     def __iter__(self) -> Iterator[Item]:
         return (self._item(i) for i in range(len(self)))
