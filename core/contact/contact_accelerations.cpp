@@ -142,8 +142,10 @@ bool ContactStep::force_problem(VecX& value) {
   }
   if (friction_varies_) set_force_coefficients();
   change_.setZero(rows_);
-  if (h_ > 0.0) change_ = (2.0 / h_) * lambda_end_;
-  if (h_ > 0.0 && shift_.size() == rows_) change_ += 2.0 * shift_;
+  if (h_ > 0.0) {
+    change_ = (2.0 / h_) * lambda_end_;
+    if (shift_.size() == rows_) change_ += 2.0 * shift_;  // none is known after leave()
+  }
   if (!solve_forces(change_)) return false;
   b_.noalias() += G_end_ * change_;
   value.resize(static_cast<Eigen::Index>(contacts_.size()));

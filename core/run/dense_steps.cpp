@@ -31,7 +31,8 @@ constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is t
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
 
-// Of two bodies so many points count: the others move with them.
+// Of two bodies so many points count, the others move with them: a box that slides over seams on a dozen of them is no
+// heap (test_drawn_seams.py).
 constexpr int kPointsOfBodies = 3;
 
 // The modes of contacts that are added one by one.

@@ -133,6 +133,29 @@ def test_short_steps_alone_are_no_reason_for_dense_ones():
     np.testing.assert_allclose(traj.q[-1, 0], 0.5 * 0.004 - 0.5 * 0.981 * 0.004**2, rtol=1e-12)  # 2000 sums
 
 
+def balls_in_a_pipe(count: int) -> cvi.Scene:
+    """Balls fall onto each other between four walls that leave them little room."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    for k, normal in enumerate([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)]):
+        scene.add_halfspace(normal, -0.06, name=f"wall{k}")
+    for k in range(count):
+        place = (0.009 * (-1) ** k, 0.005 * (-1) ** (k // 2), 0.06 + 0.11 * k)
+        scene.add_sphere(f"ball{k}", 0.05, placement=place)
+    scene.set_contact(restitution=0.3, friction=0.5)
+    return scene
+
+
+def test_what_many_contacts_do_is_not_located_for_long():
+    """Two balls have few modes of contact (open, sticking, sliding), and all of their impacts are located."""
+    two = cvi.simulate(balls_in_a_pipe(2), duration=0.5, dt=1e-3)
+    assert len(two.dense_steps) == 0
+    assert len(two.events) > 200
+    with pytest.warns(cvi.DenseStepWarning):
+        four = cvi.simulate(balls_in_a_pipe(4), duration=0.5, dt=1e-3)
+    assert four.dense_steps.t[0] < 0.2
+
+
 def test_phases_are_those_of_the_dense_steps(heap):
     """A time lies in a dense phase where it lies in a dense step, and the words are those of the numbers."""
     phases, steps = heap.phases, heap.dense_steps
